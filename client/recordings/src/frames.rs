@@ -1,0 +1,321 @@
+//! Frames of a robot and the transforms between them: the tree of tf.
+//!
+//! Invariant: a static transform holds for all time; another one only between its first and its last sample, and between
+//! two samples it is interpolated: the translation along a line, the rotation along the shorter arc. The number of
+//! samples is bounded.
+
+use std::collections::HashMap;
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+/// Maximum number of samples of all transforms, 72 bytes each.
+pub const SAMPLES_MAX: usize = 1_000_000;
+/// Maximum number of frames.
+const FRAMES_MAX: usize = 10_000;
+/// Maximum number of links from a frame to the root.
+const DEPTH_MAX: usize = 256;
+
+/// A transform of a recording: the pose of a frame within its parent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transform {
+    /// The parent.
+    pub parent: String,
+    /// The frame.
+    pub child: String,
+    /// The time for which it holds, nanoseconds since 1970.
+    pub time_nanos: i64,
+    /// The pose of the frame within its parent.
+    pub pose: Isometry3<f64>,
+}
+
+/// Why there is no pose of a frame within another one at a time.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum FrameError {
+    /// The recording has no transform of the frame.
+    #[error("frame {0:?} is not known")]
+    Unknown(String),
+    /// No links connect the frames.
+    #[error("no transforms connect {frame:?} with {within:?}")]
+    NotConnected {
+        /// The frame.
+        frame: String,
+        /// The frame that its pose was asked for in.
+        within: String,
+    },
+    /// The time lies before the first sample of a link.
+    #[error("the time is before the first transform from {parent:?} to {child:?}")]
+    Before {
+        /// Parent of the link.
+        parent: String,
+        /// Child of the link.
+        child: String,
+    },
+    /// The time lies after the last sample of a link.
+    #[error("the time is after the last transform from {parent:?} to {child:?}")]
+    After {
+        /// Parent of the link.
+        parent: String,
+        /// Child of the link.
+        child: String,
+    },
+}
+
+/// Why a transform is not taken.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TransformError {
+    /// A number is not finite, or the quaternion is zero.
+    #[error("the transform from {parent:?} to {child:?} has no valid numbers")]
+    Numbers {
+        /// The parent.
+        parent: String,
+        /// The frame.
+        child: String,
+    },
+    /// More samples than are held.
+    #[error("more than {SAMPLES_MAX} transforms")]
+    TooMany,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    time_nanos: i64,
+    pose: Isometry3<f64>,
+}
+
+#[derive(Clone, Debug)]
+enum Link {
+    Static { parent: String, pose: Isometry3<f64> },
+    Moving { parent: String, samples: Vec<Sample>, is_sorted: bool },
+}
+
+impl Link {
+    fn parent(&self) -> &str {
+        match self {
+            Self::Static { parent, .. } | Self::Moving { parent, .. } => parent,
+        }
+    }
+}
+
+/// The tree of frames of a recording.
+#[derive(Clone, Debug, Default)]
+pub struct Frames {
+    links: HashMap<String, Link>,
+    samples: usize,
+}
+
+/// A frame's name without the leading slash of old recordings.
+pub fn frame_name(name: &str) -> &str {
+    name.strip_prefix('/').unwrap_or(name)
+}
+
+/// A pose of seven numbers; the quaternion is made a unit one. `None` if a number is not finite or the quaternion is
+/// zero.
+pub fn pose([x, y, z]: [f64; 3], [i, j, k, w]: [f64; 4]) -> Option<Isometry3<f64>> {
+    let rotation = UnitQuaternion::try_new(Quaternion::new(w, i, j, k), 1e-9)?;
+    let is_finite = [x, y, z, i, j, k, w].iter().all(|number| number.is_finite());
+    is_finite.then(|| Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+impl Frames {
+    /// Takes a transform. A frame whose parent changes keeps the newer parent's samples alone.
+    ///
+    /// # Errors
+    /// There are too many samples.
+    pub fn add(&mut self, transform: Transform, is_static: bool) -> Result<(), TransformError> {
+        if self.samples >= SAMPLES_MAX || self.links.len() >= FRAMES_MAX {
+            return Err(TransformError::TooMany);
+        }
+        let Transform { parent, child, time_nanos, pose } = transform;
+        if is_static {
+            self.links.insert(child, Link::Static { parent, pose });
+            return Ok(());
+        }
+        self.samples += 1;
+        let sample = Sample { time_nanos, pose };
+        match self.links.get_mut(&child) {
+            Some(Link::Moving { parent: before, samples, is_sorted }) if *before == parent => {
+                *is_sorted &= samples.last().is_none_or(|last| last.time_nanos < time_nanos);
+                samples.push(sample);
+            }
+            // What was said to hold for all time is not taken back by one message.
+            Some(Link::Static { parent: before, .. }) if *before == parent => {}
+            _ => {
+                self.links.insert(child, Link::Moving { parent, samples: vec![sample], is_sorted: true });
+            }
+        }
+        Ok(())
+    }
+
+    /// Sorts what came out of order; call it once after the last transform. Of two samples of one time the later one
+    /// counts.
+    pub fn finish(&mut self) {
+        for link in self.links.values_mut() {
+            if let Link::Moving { samples, is_sorted, .. } = link
+                && !*is_sorted
+            {
+                samples.sort_by_key(|sample| sample.time_nanos);
+                samples.reverse();
+                samples.dedup_by_key(|sample| sample.time_nanos);
+                samples.reverse();
+                *is_sorted = true;
+            }
+        }
+    }
+
+    /// Whether there are no transforms.
+    pub fn is_empty(&self) -> bool {
+        self.links.is_empty()
+    }
+
+    /// The frames from one to its root, itself first.
+    pub fn chain<'f>(&'f self, frame: &'f str) -> Vec<&'f str> {
+        let mut chain = vec![frame];
+        let mut at = frame;
+        while let Some(link) = self.links.get(at) {
+            at = link.parent();
+            if chain.len() > DEPTH_MAX || chain.contains(&at) {
+                break;
+            }
+            chain.push(at);
+        }
+        chain
+    }
+
+    /// Whether a frame is the child or the parent of a transform.
+    pub fn knows(&self, frame: &str) -> bool {
+        self.links.contains_key(frame) || self.links.values().any(|link| link.parent() == frame)
+    }
+
+    /// The pose of a frame within another one at a time.
+    ///
+    /// # Errors
+    /// The frames are not connected, or the time lies outside the samples of a link between them.
+    pub fn pose(&self, frame: &str, within: &str, time_nanos: i64) -> Result<Isometry3<f64>, FrameError> {
+        if frame == within {
+            return Ok(Isometry3::identity());
+        }
+        let (from, to) = (self.chain(frame), self.chain(within));
+        let shared = from.iter().find(|name| to.contains(name));
+        let Some(&shared) = shared else {
+            if !self.knows(frame) {
+                return Err(FrameError::Unknown(frame.to_owned()));
+            }
+            if !self.knows(within) {
+                return Err(FrameError::Unknown(within.to_owned()));
+            }
+            return Err(FrameError::NotConnected { frame: frame.to_owned(), within: within.to_owned() });
+        };
+        let upwards = |chain: &[&str]| {
+            let mut links = chain.iter().take_while(|name| **name != shared);
+            links.try_fold(Isometry3::identity(), |below, child| Ok(self.link(child, time_nanos)? * below))
+        };
+        Ok(upwards(&to)?.inverse() * upwards(&from)?)
+    }
+
+    fn link(&self, child: &str, time_nanos: i64) -> Result<Isometry3<f64>, FrameError> {
+        match self.links.get(child) {
+            None => Err(FrameError::Unknown(child.to_owned())),
+            Some(Link::Static { pose, .. }) => Ok(*pose),
+            Some(Link::Moving { parent, samples, .. }) => {
+                let after = samples.partition_point(|sample| sample.time_nanos < time_nanos);
+                let names = || (parent.clone(), child.to_owned());
+                match (after.checked_sub(1).and_then(|before| samples.get(before)), samples.get(after)) {
+                    (_, Some(sample)) if sample.time_nanos == time_nanos => Ok(sample.pose),
+                    (Some(before), Some(after)) => Ok(between(before, after, time_nanos)),
+                    (None, _) => {
+                        let (parent, child) = names();
+                        Err(FrameError::Before { parent, child })
+                    }
+                    (_, None) => {
+                        let (parent, child) = names();
+                        Err(FrameError::After { parent, child })
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The pose between two samples.
+fn between(before: &Sample, after: &Sample, time_nanos: i64) -> Isometry3<f64> {
+    let elapsed = |to: i64| i128::from(to) - i128::from(before.time_nanos);
+    let share = elapsed(time_nanos) as f64 / elapsed(after.time_nanos) as f64;
+    let (from, to) = (before.pose.translation.vector, after.pose.translation.vector);
+    let translation: Vector3<f64> = from + (to - from) * share;
+    let (start, end) = (before.pose.rotation, after.pose.rotation);
+    // Opposite rotations have no shorter arc.
+    let rotation = start.try_slerp(&end, share, 1e-12).unwrap_or(if share < 0.5 { start } else { end });
+    Isometry3::from_parts(translation.into(), rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn turned(x: f64, yaw: f64) -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::z() * yaw)
+    }
+
+    fn add(frames: &mut Frames, parent: &str, child: &str, time_nanos: i64, pose: Isometry3<f64>, is_static: bool) {
+        let transform = Transform { parent: parent.to_owned(), child: child.to_owned(), time_nanos, pose };
+        assert_eq!(frames.add(transform, is_static), Ok(()));
+    }
+
+    #[test]
+    fn a_transform_is_interpolated_between_its_samples_and_holds_nowhere_else() -> Result<(), FrameError> {
+        let mut frames = Frames::default();
+        add(&mut frames, "odom", "base", 200, turned(2.0, FRAC_PI_2), false);
+        add(&mut frames, "odom", "base", 100, turned(1.0, 0.0), false);
+        add(&mut frames, "base", "laser", 0, turned(0.5, 0.0), true);
+        frames.finish();
+        let half = frames.pose("base", "odom", 150)?;
+        assert!((half.translation.x - 1.5).abs() < 1e-12 && (half.rotation.angle() - FRAC_PI_2 / 2.0).abs() < 1e-12);
+        let laser = frames.pose("laser", "odom", 200)?;
+        assert!((laser.translation.vector - Vector3::new(2.0, 0.5, 0.0)).norm() < 1e-12, "{laser}");
+        assert!((frames.pose("odom", "laser", 200)? * laser).translation.vector.norm() < 1e-12);
+        let (parent, child) = ("odom".to_owned(), "base".to_owned());
+        let before = FrameError::Before { parent: parent.clone(), child: child.clone() };
+        assert_eq!(frames.pose("laser", "odom", 99), Err(before));
+        assert_eq!(frames.pose("laser", "odom", 201), Err(FrameError::After { parent, child }));
+        assert!(frames.pose("laser", "base", 999).is_ok(), "a static transform holds for all time");
+        Ok(())
+    }
+
+    #[test]
+    fn frames_that_nothing_connects_are_named() {
+        let mut frames = Frames::default();
+        add(&mut frames, "map", "a", 0, turned(0.0, 0.0), true);
+        add(&mut frames, "other", "b", 0, turned(0.0, 0.0), true);
+        let not_connected = FrameError::NotConnected { frame: "a".to_owned(), within: "b".to_owned() };
+        assert_eq!(frames.pose("a", "b", 0), Err(not_connected));
+        assert_eq!(frames.pose("c", "b", 0), Err(FrameError::Unknown("c".to_owned())));
+        assert!(frames.pose("c", "c", 0).is_ok(), "a frame within itself needs no transform");
+    }
+
+    #[test]
+    fn frames_in_a_circle_end() {
+        let mut frames = Frames::default();
+        add(&mut frames, "a", "b", 0, turned(1.0, 0.0), true);
+        add(&mut frames, "b", "a", 0, turned(1.0, 0.0), true);
+        assert!(frames.pose("a", "c", 0).is_err());
+        assert!(frames.chain("a").len() <= 2);
+    }
+
+    proptest! {
+        #[test]
+        fn a_pose_and_its_inverse_cancel(x in -9.0..9.0f64, yaw in -3.0..3.0f64, time in 0..100i64) {
+            let mut frames = Frames::default();
+            add(&mut frames, "map", "odom", 0, turned(x, yaw), false);
+            add(&mut frames, "map", "odom", 100, turned(-x, -yaw / 3.0), false);
+            add(&mut frames, "odom", "base", 0, turned(yaw, x / 9.0), true);
+            let there = frames.pose("base", "map", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
+            let back = frames.pose("map", "base", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
+            prop_assert!((there * back).translation.vector.norm() < 1e-9);
+            prop_assert!((there * back).rotation.angle() < 1e-7);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Messages of the usual types of ROS: scans, clouds, grids, transforms, poses.
+//!
+//! Invariant: lengths within a message are checked against each other; what is given out can be read without a check.
+
+mod cloud;
+mod grid;
+
+use nalgebra::Isometry3;
+
+pub use self::{
+    cloud::Cloud,
+    grid::{Grid, GridUpdate},
+};
+
+use crate::{
+    frames::{self, Transform, frame_name},
+    message::{Numbers, Value},
+};
+
+/// Why a message of a usual type is not used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum KnownError {
+    /// A field is missing, or of another type.
+    #[error("{type_name} has no field {field:?} of the usual type")]
+    Field {
+        /// Name of the type.
+        type_name: &'static str,
+        /// Path of the field.
+        field: String,
+    },
+    /// Values that do not go together, or that nothing can be made of.
+    #[error("{0}")]
+    Values(String),
+}
+
+/// Reads fields of a message of one type.
+struct Fields<'m, 'a> {
+    type_name: &'static str,
+    message: &'m Value<'a>,
+}
+
+impl<'m, 'a> Fields<'m, 'a> {
+    fn value(&self, path: &[&str]) -> Result<&'m Value<'a>, KnownError> {
+        self.message.at(path).ok_or_else(|| self.missing(path))
+    }
+
+    fn missing(&self, path: &[&str]) -> KnownError {
+        KnownError::Field { type_name: self.type_name, field: path.join(".") }
+    }
+
+    fn number(&self, path: &[&str]) -> Result<f64, KnownError> {
+        self.value(path)?.number().ok_or_else(|| self.missing(path))
+    }
+
+    fn size(&self, path: &[&str]) -> Result<usize, KnownError> {
+        let integer = self.value(path)?.integer().ok_or_else(|| self.missing(path))?;
+        usize::try_from(integer).map_err(|_| KnownError::Values(format!("{} is {integer}", path.join("."))))
+    }
+
+    fn text(&self, path: &[&str]) -> Result<String, KnownError> {
+        self.value(path)?.text().ok_or_else(|| self.missing(path))
+    }
+
+    fn numbers(&self, path: &[&str]) -> Result<Numbers<'a>, KnownError> {
+        self.value(path)?.numbers().ok_or_else(|| self.missing(path))
+    }
+
+    fn pose(&self, path: &[&str], position: &str, orientation: &str) -> Result<Isometry3<f64>, KnownError> {
+        let part = |name: &str, axis: &str| {
+            let full: Vec<&str> = path.iter().copied().chain([name, axis]).collect();
+            self.number(&full)
+        };
+        let xyz = [part(position, "x")?, part(position, "y")?, part(position, "z")?];
+        let quaternion =
+            [part(orientation, "x")?, part(orientation, "y")?, part(orientation, "z")?, part(orientation, "w")?];
+        frames::pose(xyz, quaternion).ok_or_else(|| {
+            let name = if path.is_empty() { "the pose".to_owned() } else { path.join(".") };
+            KnownError::Values(format!("{name} is no pose: position {xyz:?}, quaternion {quaternion:?}"))
+        })
+    }
+}
+
+/// The time for which a message holds: that of its header, or of another first field that is a time. Nanoseconds since
+/// 1970; `None` if it has none.
+pub fn stamp(message: &Value<'_>) -> Option<i64> {
+    ["header", "door_time", "stamp"].iter().find_map(|name| {
+        let field = message.field(name)?;
+        field.field("stamp").unwrap_or(field).time_nanos()
+    })
+}
+
+/// The frame in which a message was measured, without a leading slash; empty if it names none.
+pub fn frame(message: &Value<'_>) -> String {
+    let name = message.at(&["header", "frame_id"]).and_then(Value::text).unwrap_or_default();
+    frame_name(&name).to_owned()
+}
+
+/// A scan of a planar range finder, `sensor_msgs/LaserScan`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LaserScan<'a> {
+    /// Angle of the first ray from the x axis of the sensor, radians.
+    pub angle_min_rad: f64,
+    /// Angle between rays, radians.
+    pub angle_increment_rad: f64,
+    /// Smallest valid range, metres.
+    pub range_min_m: f64,
+    /// Largest valid range, metres.
+    pub range_max_m: f64,
+    ranges: Numbers<'a>,
+}
+
+impl<'a> LaserScan<'a> {
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// A field is missing, or an angle or a limit is not finite.
+    pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
+        let fields = Fields { type_name: "sensor_msgs/LaserScan", message };
+        let scan = Self {
+            angle_min_rad: fields.number(&["angle_min"])?,
+            angle_increment_rad: fields.number(&["angle_increment"])?,
+            range_min_m: fields.number(&["range_min"])?,
+            range_max_m: fields.number(&["range_max"])?,
+            ranges: fields.numbers(&["ranges"])?,
+        };
+        let Self { angle_min_rad, angle_increment_rad, range_min_m, range_max_m, .. } = scan;
+        if ![angle_min_rad, angle_increment_rad, range_min_m].iter().all(|number| number.is_finite())
+            || range_max_m.is_nan()
+            || range_max_m <= 0.0
+        {
+            return Err(KnownError::Values(format!(
+                "a scan from {angle_min_rad} rad in steps of {angle_increment_rad} rad, with ranges from {range_min_m} m \
+                 to {range_max_m} m"
+            )));
+        }
+        Ok(scan)
+    }
+
+    /// The ranges as they are, metres.
+    pub fn ranges_m(&self) -> impl Iterator<Item = f64> + 'a {
+        self.ranges.floats()
+    }
+
+    /// The number of rays.
+    pub fn rays(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// Whether a range is a valid reading, by the limits of the sensor.
+    pub fn is_valid(&self, range_m: f64) -> bool {
+        range_m.is_finite() && range_m >= self.range_min_m && range_m <= self.range_max_m
+    }
+}
+
+/// A transform that a message holds, or why it is not used.
+pub type TransformRead = Result<Transform, KnownError>;
+
+/// The transforms of `tf2_msgs/TFMessage`, or `tf/tfMessage` of ROS 1.
+///
+/// # Errors
+/// There is no list of transforms.
+pub fn transforms(message: &Value<'_>) -> Result<Vec<TransformRead>, KnownError> {
+    let fields = Fields { type_name: "tf2_msgs/TFMessage", message };
+    let list = fields.value(&["transforms"])?.list().ok_or_else(|| fields.missing(&["transforms"]))?;
+    Ok(list.iter().map(transform).collect())
+}
+
+fn transform(message: &Value<'_>) -> TransformRead {
+    let fields = Fields { type_name: "geometry_msgs/TransformStamped", message };
+    let time_nanos = stamp(message).ok_or_else(|| fields.missing(&["header", "stamp"]))?;
+    let child = frame_name(&fields.text(&["child_frame_id"])?).to_owned();
+    let parent = frame(message);
+    if child.is_empty() || parent.is_empty() || child == parent {
+        return Err(KnownError::Values(format!("a transform from {parent:?} to {child:?}")));
+    }
+    let pose = fields.pose(&["transform"], "translation", "rotation")?;
+    Ok(Transform { parent, child, time_nanos, pose })
+}
+
+/// Where a pose is found in a message of one of the usual types with one pose.
+pub fn pose_path(type_name: &str) -> Option<&'static [&'static str]> {
+    Some(match type_name {
+        "geometry_msgs/Pose" => &[],
+        "geometry_msgs/PoseStamped" => &["pose"],
+        "geometry_msgs/PoseWithCovariance" => &["pose"],
+        "geometry_msgs/PoseWithCovarianceStamped" | "nav_msgs/Odometry" => &["pose", "pose"],
+        _ => return None,
+    })
+}
+
+/// The position of a pose, metres.
+///
+/// # Errors
+/// A field is missing, or a number is not finite.
+pub fn position(message: &Value<'_>, path: &[&str]) -> Result<[f64; 3], KnownError> {
+    let fields = Fields { type_name: "geometry_msgs/Point", message };
+    let part = |axis: &'static str| {
+        let full: Vec<&str> = path.iter().copied().chain([axis]).collect();
+        fields.number(&full)
+    };
+    let xyz = [part("x")?, part("y")?, part("z")?];
+    if xyz.iter().all(|number| number.is_finite()) {
+        Ok(xyz)
+    } else {
+        Err(KnownError::Values(format!("position {xyz:?} is not finite")))
+    }
+}

@@ -1,0 +1,125 @@
+//! The layout of a type of messages: its definition with all types inside put in their places.
+//!
+//! Invariant: a layout is finite: no type contains itself, and the number of fields is bounded.
+
+use std::{collections::HashMap, rc::Rc};
+
+use crate::{
+    built_in,
+    definition::{self, Constant, Count, Definition, DefinitionError, FieldType, Primitive},
+};
+
+/// Maximum depth of types within types.
+const DEPTH_MAX: usize = 32;
+/// Maximum number of fields of a layout, those of the types inside included.
+const FIELDS_MAX: usize = 10_000;
+
+/// What a value is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A value that has no fields.
+    Primitive(Primitive),
+    /// A value with fields.
+    Structure(Rc<Structure>),
+}
+
+/// The fields of a type.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Structure {
+    /// Full name of the type.
+    pub type_name: String,
+    /// The fields, in the order of the bytes.
+    pub fields: Vec<LaidField>,
+    /// The constants of the type.
+    pub constants: Vec<Constant>,
+}
+
+/// A field with what it is.
+#[derive(Debug, PartialEq, Eq)]
+pub struct LaidField {
+    /// Its name.
+    pub name: String,
+    /// What its values are.
+    pub kind: Kind,
+    /// How many values it has.
+    pub count: Count,
+}
+
+impl Structure {
+    /// The field of a name.
+    pub fn field(&self, name: &str) -> Option<&LaidField> {
+        self.fields.iter().find(|field| field.name == name)
+    }
+}
+
+/// Makes the layout of a type. Types that `text` does not define are looked up among those that tidemap knows; with an
+/// empty text that is all of them.
+///
+/// # Errors
+/// The text is no definition, or a type is missing or contains itself.
+pub fn of_type(type_name: &str, text: &str) -> Result<Rc<Structure>, DefinitionError> {
+    let name = definition::short_name(type_name);
+    // An empty definition is that of a type without fields, such as std_msgs/Empty, or none at all.
+    let types = if text.trim().is_empty() { HashMap::new() } else { definition::parse(&name, text)? };
+    let mut making = Making { types, made: HashMap::new(), fields: 0 };
+    making.structure(&name, 0)
+}
+
+struct Making {
+    types: HashMap<String, Definition>,
+    made: HashMap<String, Rc<Structure>>,
+    fields: usize,
+}
+
+impl Making {
+    fn structure(&mut self, name: &str, depth: usize) -> Result<Rc<Structure>, DefinitionError> {
+        if let Some(made) = self.made.get(name) {
+            return Ok(made.clone());
+        }
+        if depth > DEPTH_MAX {
+            return Err(DefinitionError::Endless(name.to_owned()));
+        }
+        let definition = match self.types.get(name) {
+            Some(definition) => definition.clone(),
+            None => built_in::definition(name).ok_or_else(|| DefinitionError::Missing(name.to_owned()))?,
+        };
+        self.fields += definition.fields.len();
+        if self.fields > FIELDS_MAX {
+            let type_name = name.to_owned();
+            return Err(DefinitionError::TooLong { type_name, what: "fields", max: FIELDS_MAX });
+        }
+        let mut fields = Vec::with_capacity(definition.fields.len());
+        for field in definition.fields {
+            let kind = match field.field_type {
+                FieldType::Primitive(primitive) => Kind::Primitive(primitive),
+                FieldType::Named(inner) => Kind::Structure(self.structure(&inner, depth + 1)?),
+            };
+            fields.push(LaidField { name: field.name, kind, count: field.count });
+        }
+        let structure = Rc::new(Structure { type_name: name.to_owned(), fields, constants: definition.constants });
+        self.made.insert(name.to_owned(), structure.clone());
+        Ok(structure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn types_inside_come_from_the_recording_and_else_from_the_known_ones() -> Result<(), DefinitionError> {
+        let layout = of_type(
+            "a_msgs/Own",
+            "std_msgs/Header header\nInner inner\n====================\nMSG: a_msgs/Inner\nint8 x",
+        )?;
+        assert_eq!(layout.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>(), ["header", "inner"]);
+        let missing = of_type("a_msgs/Own", "Inner inner");
+        assert_eq!(missing, Err(DefinitionError::Missing("a_msgs/Inner".to_owned())));
+        Ok(())
+    }
+
+    #[test]
+    fn a_type_that_contains_itself_is_refused() {
+        assert_eq!(of_type("a/B", "a/B inner"), Err(DefinitionError::Endless("a/B".to_owned())));
+    }
+}

@@ -1,0 +1,231 @@
+//! Values of messages, by their layout: bytes of ROS 1 or CDR in, a tree of values out.
+//!
+//! Invariant: reading is bounded: arrays of numbers stay the bytes that they are, and the number of all other values of
+//! a message is limited. Bytes behind the last field are ignored, as ROS does.
+
+mod cursor;
+mod path;
+
+use std::rc::Rc;
+
+pub use self::path::{Path, PathError};
+
+use self::cursor::Cursor;
+use crate::{
+    definition::{Count, Primitive},
+    layout::{Kind, LaidField, Structure},
+    recording::Encoding,
+};
+
+/// Maximum number of values of a message, each array of numbers counting as one.
+pub const VALUES_MAX: usize = 500_000;
+
+/// Why a message cannot be read.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MessageError {
+    /// The bytes end before the last field.
+    #[error("the message ends after {bytes} bytes, within {field}")]
+    Short {
+        /// Number of bytes of the message.
+        bytes: usize,
+        /// The field that is not whole.
+        field: String,
+    },
+    /// More values than are read.
+    #[error("the message has more than {VALUES_MAX} values")]
+    TooManyValues,
+    /// The first bytes name an encoding that is not read.
+    #[error("the message begins with {0:02x?}, which is no plain CDR")]
+    Representation([u8; 2]),
+    /// The encoding is none that is read.
+    #[error("the encoding {0:?} is not read")]
+    Encoding(String),
+}
+
+/// A value of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value<'a> {
+    /// True or false.
+    Bool(bool),
+    /// An integer.
+    Integer(i128),
+    /// A number with a fraction.
+    Float(f64),
+    /// Text, as its bytes: they need not be UTF-8.
+    Text(&'a [u8]),
+    /// A time or a duration of ROS 1, nanoseconds.
+    Nanos(i64),
+    /// An array of numbers.
+    Numbers(Numbers<'a>),
+    /// An array of other values.
+    List(Vec<Value<'a>>),
+    /// A value with fields, in the order of its layout.
+    Structure(Rc<Structure>, Vec<Value<'a>>),
+}
+
+/// An array of numbers, as its bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Numbers<'a> {
+    /// Type of the numbers; neither text nor time.
+    pub primitive: Primitive,
+    /// Their bytes, whole numbers of them.
+    pub bytes: &'a [u8],
+    /// Whether the most significant byte comes first.
+    pub is_big_endian: bool,
+}
+
+impl<'a> Numbers<'a> {
+    /// How many numbers.
+    pub fn len(&self) -> usize {
+        self.bytes.len() / self.primitive.bytes().unwrap_or(1)
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// The number at an index.
+    pub fn get(&self, index: usize) -> Option<Value<'a>> {
+        let size = self.primitive.bytes()?;
+        let start = index.checked_mul(size)?;
+        let bytes = self.bytes.get(start..start.checked_add(size)?)?;
+        Some(cursor::number(self.primitive, bytes, self.is_big_endian))
+    }
+
+    /// The numbers, as floating point.
+    pub fn floats(&self) -> impl Iterator<Item = f64> + 'a {
+        let (primitive, is_big_endian) = (self.primitive, self.is_big_endian);
+        let size = primitive.bytes().unwrap_or(1);
+        self.bytes
+            .chunks_exact(size)
+            .map(move |bytes| cursor::number(primitive, bytes, is_big_endian).number().unwrap_or(f64::NAN))
+    }
+}
+
+impl<'a> Value<'a> {
+    /// The value as a number; true is 1.
+    pub fn number(&self) -> Option<f64> {
+        match self {
+            Value::Bool(value) => Some(f64::from(u8::from(*value))),
+            Value::Integer(value) => Some(*value as f64),
+            Value::Float(value) => Some(*value),
+            _ => None,
+        }
+    }
+
+    /// The value as an integer.
+    pub fn integer(&self) -> Option<i128> {
+        match self {
+            Value::Bool(value) => Some(i128::from(*value)),
+            Value::Integer(value) => Some(*value),
+            _ => None,
+        }
+    }
+
+    /// The value as text; bytes that are no UTF-8 become the replacement character.
+    pub fn text(&self) -> Option<String> {
+        match self {
+            Value::Text(bytes) => Some(String::from_utf8_lossy(bytes).into_owned()),
+            _ => None,
+        }
+    }
+
+    /// The value as an array of numbers.
+    pub fn numbers(&self) -> Option<Numbers<'a>> {
+        match self {
+            Value::Numbers(numbers) => Some(*numbers),
+            _ => None,
+        }
+    }
+
+    /// The elements of an array of values with fields or of text.
+    pub fn list(&self) -> Option<&[Value<'a>]> {
+        match self {
+            Value::List(values) => Some(values),
+            _ => None,
+        }
+    }
+
+    /// A time: that of ROS 1, or seconds and nanoseconds as ROS 2 has them. Nanoseconds since 1970; `None` if it is no
+    /// time or out of range.
+    pub fn time_nanos(&self) -> Option<i64> {
+        match self {
+            Value::Nanos(nanos) => Some(*nanos),
+            Value::Structure(..) => {
+                let seconds = self.field("sec")?.integer()?;
+                let nanos = self.field("nanosec")?.integer()?;
+                i64::try_from(seconds.checked_mul(1_000_000_000)?.checked_add(nanos)?).ok()
+            }
+            _ => None,
+        }
+    }
+
+    /// The field of a name.
+    pub fn field(&self, name: &str) -> Option<&Value<'a>> {
+        let Value::Structure(structure, values) = self else { return None };
+        let index = structure.fields.iter().position(|field| field.name == name)?;
+        values.get(index)
+    }
+
+    /// The field at the end of names, from the outermost on.
+    pub fn at(&self, names: &[&str]) -> Option<&Value<'a>> {
+        names.iter().try_fold(self, |value, name| value.field(name))
+    }
+}
+
+/// Reads a message.
+///
+/// # Errors
+/// The bytes end early, hold too many values, or are of an encoding that is not read.
+pub fn read<'a>(layout: &Rc<Structure>, encoding: &Encoding, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
+    let mut cursor = match encoding {
+        Encoding::Ros1 => Cursor::ros1(bytes),
+        Encoding::Cdr => Cursor::cdr(bytes)?,
+        Encoding::Other(name) => return Err(MessageError::Encoding(name.clone())),
+    };
+    structure(layout, &mut cursor)
+}
+
+fn structure<'a>(layout: &Rc<Structure>, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+    if layout.fields.is_empty() {
+        cursor.empty_structure();
+    }
+    let mut values = Vec::with_capacity(layout.fields.len());
+    for laid in &layout.fields {
+        values.push(field(laid, cursor)?);
+    }
+    Ok(Value::Structure(layout.clone(), values))
+}
+
+fn field<'a>(laid: &LaidField, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+    cursor.count_value()?;
+    let count = match laid.count {
+        Count::One => return one(laid, cursor),
+        Count::Fixed(count) => count,
+        Count::Any => cursor.length(&laid.name)?,
+    };
+    match &laid.kind {
+        Kind::Primitive(primitive) if !matches!(primitive, Primitive::Text | Primitive::Time | Primitive::Duration) => {
+            cursor.numbers(*primitive, count, &laid.name).map(Value::Numbers)
+        }
+        _ => {
+            let mut values = Vec::new();
+            for _ in 0..count {
+                cursor.count_value()?;
+                values.push(one(laid, cursor)?);
+            }
+            Ok(Value::List(values))
+        }
+    }
+}
+
+fn one<'a>(laid: &LaidField, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+    match &laid.kind {
+        Kind::Primitive(primitive) => cursor.primitive(*primitive, &laid.name),
+        Kind::Structure(inner) => structure(inner, cursor),
+    }
+}
+
+#[cfg(test)]
+mod tests;
