@@ -181,6 +181,11 @@ impl Frames {
         chain
     }
 
+    /// The names of all frames, in no order, some twice.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.links.iter().flat_map(|(child, link)| [child.as_str(), link.parent()])
+    }
+
     /// Whether a frame is the child or the parent of a transform.
     pub fn knows(&self, frame: &str) -> bool {
         self.links.contains_key(frame) || self.links.values().any(|link| link.parent() == frame)

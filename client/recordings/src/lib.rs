@@ -4,9 +4,13 @@
 //! bounded whatever the bytes say. A recording that is cut off gives what it has, and says so.
 
 mod built_in;
+pub mod convert;
 pub mod definition;
 pub mod frames;
 pub mod known;
 pub mod layout;
+pub mod mapping;
 pub mod message;
+pub mod plan;
 pub mod recording;
+pub mod survey;

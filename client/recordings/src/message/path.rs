@@ -113,6 +113,19 @@ impl Path {
     }
 }
 
+impl std::fmt::Display for Path {
+    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (index, step) in self.0.iter().enumerate() {
+            let point = if index == 0 { "" } else { "." };
+            write!(to, "{point}{}", step.name)?;
+            if let Some(index) = step.index {
+                write!(to, "[{index}]")?;
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Step {
     fn parse(text: &str) -> Option<Self> {
         let (name, index) = match text.split_once('[') {

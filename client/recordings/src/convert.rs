@@ -1,0 +1,390 @@
+//! From messages to observations, by a plan.
+//!
+//! Invariant: the same recording and plan make the same observations in the same order, whatever the speed. A message
+//! becomes observations, or it is counted with the reason why not.
+
+mod merged;
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use nalgebra::Isometry3;
+
+pub use self::merged::CellSize;
+
+use crate::{
+    frames::{FrameError, frame_name},
+    known::{self, Cloud, Grid, GridUpdate, KnownError, LaserScan},
+    mapping::{PositionRule, StateRule, TraversalRule, ValueKind, ValueRule, shown},
+    message::Value,
+    plan::{GridUse, Plan, TopicPlan},
+    recording::Topic,
+    survey::{Connection, Surveyed, TopicTable, connection},
+};
+
+/// Which clock gives the times of observations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Clock {
+    /// That of the robot, which stamps messages; the recorder's for messages without a stamp.
+    #[default]
+    Stamps,
+    /// That of the recorder.
+    Recorder,
+}
+
+/// A scan of a planar range finder in its place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacedScan {
+    /// Pose of the sensor.
+    pub pose: Isometry3<f64>,
+    /// Angle of the first ray from the x axis of the sensor, radians.
+    pub angle_min_rad: f64,
+    /// Angle between rays, radians.
+    pub angle_increment_rad: f64,
+    /// Smallest valid range, metres.
+    pub range_min_m: f64,
+    /// Largest valid range, metres.
+    pub range_max_m: f64,
+    /// Valid ranges, metres; infinity: no echo; NaN: no reading.
+    pub ranges_m: Vec<f32>,
+}
+
+/// A point cloud in its place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacedCloud {
+    /// Pose of the sensor.
+    pub pose: Isometry3<f64>,
+    /// Finite points in the frame of the sensor, metres.
+    pub points_m: Vec<[f32; 3]>,
+    /// Number of finite points before points of one cell were merged.
+    pub points_before: usize,
+}
+
+/// An occupancy grid in its place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacedGrid {
+    /// Edge of a cell, metres.
+    pub resolution_m: f64,
+    /// Number of columns.
+    pub width: usize,
+    /// Number of rows.
+    pub height: usize,
+    /// Pose of the lower left corner of the first cell.
+    pub origin: Isometry3<f64>,
+    /// Occupancy in percent, row by row from the bottom; -1: unknown.
+    pub percents: Vec<i8>,
+}
+
+/// What was made.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Made {
+    /// A scan.
+    Scan(PlacedScan),
+    /// A point cloud.
+    Cloud(PlacedCloud),
+    /// A grid.
+    Grid(PlacedGrid),
+    /// A value of a state; the rule has its index among those of the topic.
+    Value {
+        /// Name of the state.
+        state: String,
+        /// The value.
+        value: f64,
+        /// Index of the rule.
+        rule: usize,
+    },
+    /// A label of a categorical state.
+    Label {
+        /// Name of the state.
+        state: String,
+        /// The label.
+        label: String,
+        /// Index of the rule.
+        rule: usize,
+    },
+    /// A position of a vector, metres.
+    Position {
+        /// Name of the vector.
+        state: String,
+        /// The coordinates, two or three.
+        coordinates_m: Vec<f64>,
+    },
+    /// A traversal of an edge.
+    Traversal {
+        /// The node where the edge begins.
+        from: String,
+        /// The node where it ends.
+        to: String,
+        /// When the traversal began, nanoseconds since 1970; it ended at the time of the observation.
+        start_nanos: i64,
+        /// Whether the robot arrived.
+        success: bool,
+        /// How it ended, if the robot did not arrive.
+        reason: String,
+    },
+}
+
+/// An observation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Item {
+    /// Its time, nanoseconds since 1970.
+    pub time_nanos: i64,
+    /// What was made.
+    pub made: Made,
+}
+
+/// Why nothing was made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotMade {
+    /// The pose of its frame is not known.
+    #[error("{0}")]
+    NoTransform(#[from] FrameError),
+    /// No frame was chosen: the recording has no transforms.
+    #[error("the recording has no transforms, so where {0:?} was is not known")]
+    NoFrame(String),
+    /// The mapping leaves the value out.
+    #[error("the value {0:?} means nothing in the mapping")]
+    LeftOut(String),
+    /// Its values are wrong.
+    #[error("{0}")]
+    Wrong(String),
+}
+
+impl From<KnownError> for NotMade {
+    fn from(error: KnownError) -> Self {
+        Self::Wrong(error.to_string())
+    }
+}
+
+/// Makes observations of messages.
+#[derive(Debug)]
+pub struct Converter {
+    surveyed: Arc<Surveyed>,
+    plan: Arc<Plan>,
+    clock: Clock,
+    merge: Option<CellSize>,
+    table: TopicTable,
+    connections: Vec<Connection>,
+    /// The last grid of each topic of grids whose changes are taken.
+    grids: BTreeMap<usize, (PlacedGrid, String)>,
+}
+
+impl Converter {
+    /// Prepares to convert. `merge`: of points of a cloud that end in the same cell, the first is taken.
+    pub fn new(surveyed: Arc<Surveyed>, plan: Arc<Plan>, clock: Clock, merge: Option<CellSize>) -> Self {
+        let (table, connections, grids) = Default::default();
+        Self { surveyed, plan, clock, merge, table, connections, grids }
+    }
+
+    /// Begins the next file of the recording.
+    pub fn next_file(&mut self) {
+        self.connections.clear();
+    }
+
+    /// Takes a topic of the file, as [`crate::recording::Sink::topic`]. Returns whether its messages become anything.
+    pub fn topic(&mut self, topic: &Topic) -> bool {
+        let (index, _) = self.table.index(topic);
+        self.connections.push(connection(topic, index));
+        self.plan.topics.get(index).is_some_and(TopicPlan::is_observed)
+    }
+
+    /// Index of the topic of a connection of the file among those of the survey.
+    pub fn topic_index(&self, of_file: usize) -> Option<usize> {
+        self.connections.get(of_file).map(|connection| connection.topic)
+    }
+
+    /// Makes observations of a message.
+    pub fn convert(&mut self, of_file: usize, recorded_nanos: i64, data: &[u8]) -> Vec<Result<Item, NotMade>> {
+        let Some(connection) = self.connections.get(of_file) else { return Vec::new() };
+        let index = connection.topic;
+        let message = match connection.read(data) {
+            Ok(message) => message,
+            Err(problem) => return vec![Err(NotMade::Wrong(problem))],
+        };
+        let plans = self.plan.clone();
+        let Some(plan) = plans.topics.get(index) else { return Vec::new() };
+        let stamp = known::stamp(&message).filter(|stamp| *stamp != 0);
+        // Without a stamp, the transforms at the time of recording are the best that there are.
+        let stamp_nanos = stamp.unwrap_or(recorded_nanos);
+        let time_nanos = if self.clock == Clock::Stamps { stamp_nanos } else { recorded_nanos };
+        let mut made: Vec<Result<Made, NotMade>> = Vec::new();
+        if let Some(grid) = plan.grid {
+            made.push(self.grid(grid, index, &message, stamp_nanos));
+        }
+        for (rule, state) in plan.states.iter().enumerate() {
+            made.extend(states(rule, state, &message));
+        }
+        for rule in &plan.positions {
+            made.extend(self.positions(rule, &message, stamp_nanos));
+        }
+        if let Some(rule) = &plan.traversals {
+            made.push(traversal(rule, &message, time_nanos));
+        }
+        made.into_iter().map(|made| made.map(|made| Item { time_nanos, made })).collect()
+    }
+
+    /// The pose of a frame at a time in the frame of the plan.
+    fn pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
+        match &self.plan.frame {
+            None => Err(NotMade::NoFrame(frame.to_owned())),
+            Some(within) => Ok(self.surveyed.frames.pose(frame, within, stamp_nanos)?),
+        }
+    }
+
+    fn grid(&mut self, grid: GridUse, index: usize, message: &Value<'_>, stamp: i64) -> Result<Made, NotMade> {
+        let frame = known::frame(message);
+        match grid {
+            GridUse::Scans => {
+                let scan = LaserScan::read(message)?;
+                let pose = self.pose(&frame, stamp)?;
+                let ranges_m = scan.ranges_m().map(|range| taken_range(&scan, range)).collect();
+                let LaserScan { angle_min_rad, angle_increment_rad, range_min_m, range_max_m, .. } = scan;
+                let placed =
+                    PlacedScan { pose, angle_min_rad, angle_increment_rad, range_min_m, range_max_m, ranges_m };
+                Ok(Made::Scan(placed))
+            }
+            GridUse::Clouds => {
+                let cloud = Cloud::read(message)?;
+                let pose = self.pose(&frame, stamp)?;
+                let finite = cloud.points().filter(|point| point.iter().all(|along| along.is_finite()));
+                let (points_m, points_before) = match self.merge {
+                    Some(cell) => merged::points(finite, &pose, cell),
+                    None => {
+                        let points: Vec<[f32; 3]> = finite.map(|point| point.map(|along| along as f32)).collect();
+                        let count = points.len();
+                        (points, count)
+                    }
+                };
+                Ok(Made::Cloud(PlacedCloud { pose, points_m, points_before }))
+            }
+            GridUse::Grids => {
+                let grid = Grid::read(message)?;
+                let place = self.pose(&frame, stamp)?;
+                let Grid { resolution_m, width, height, origin, .. } = grid;
+                let percents = grid.percents().collect();
+                let placed = PlacedGrid { resolution_m, width, height, origin: place * origin, percents };
+                let has_changes = self.plan.topics.iter().any(|plan| plan.grid == Some(GridUse::GridChanges(index)));
+                if has_changes {
+                    self.grids.insert(index, (placed.clone(), frame));
+                }
+                Ok(Made::Grid(placed))
+            }
+            GridUse::GridChanges(base) => {
+                let update = GridUpdate::read(message)?;
+                let Some((grid, _)) = self.grids.get_mut(&base) else {
+                    return Err(NotMade::Wrong("no grid came before the change".to_owned()));
+                };
+                change(grid, &update)?;
+                Ok(Made::Grid(grid.clone()))
+            }
+        }
+    }
+
+    fn positions(&self, rule: &PositionRule, message: &Value<'_>, stamp: i64) -> Vec<Result<Made, NotMade>> {
+        let frame = known::frame(message);
+        let frame = frame_name(&frame);
+        // A message without a frame is taken as it is: there is nothing else to place it by.
+        let place = if frame.is_empty() { Ok(Isometry3::identity()) } else { self.pose(frame, stamp) };
+        let elements = rule.place.elements(message);
+        elements
+            .iter()
+            .map(|element| {
+                let point = rule.place.value(element);
+                let [x, y, z] = match &point {
+                    Some(point) => known::position(point, &[]).or_else(|error| {
+                        if point.field("position").is_some() {
+                            known::position(point, &["position"])
+                        } else {
+                            Err(error)
+                        }
+                    })?,
+                    None => return Err(NotMade::Wrong("the field is missing".to_owned())),
+                };
+                let place = place.as_ref().map_err(NotMade::clone)?;
+                let placed = place.transform_point(&[x, y, z].into());
+                let state = rule.state.name(element).ok_or_else(no_name)?;
+                let count = if rule.has_height { 3 } else { 2 };
+                Ok(Made::Position { state, coordinates_m: placed.iter().take(count).copied().collect() })
+            })
+            .collect()
+    }
+}
+
+fn no_name() -> NotMade {
+    NotMade::Wrong("a field of the state's name is missing".to_owned())
+}
+
+/// A range as the grid takes it. By REP 117, infinity is no echo, minus infinity an object too near, and NaN no reading;
+/// readings outside of the sensor's limits say nothing.
+fn taken_range(scan: &LaserScan<'_>, range_m: f64) -> f32 {
+    if scan.is_valid(range_m) || range_m == f64::INFINITY { range_m as f32 } else { f32::NAN }
+}
+
+fn change(grid: &mut PlacedGrid, update: &GridUpdate<'_>) -> Result<(), NotMade> {
+    let fits = |from: usize, count: usize, size: usize| from.checked_add(count).is_some_and(|end| end <= size);
+    if !fits(update.x, update.width, grid.width) || !fits(update.y, update.height, grid.height) {
+        return Err(NotMade::Wrong(format!(
+            "a change of {} x {} cells at {}, {} does not lie within the grid of {} x {} cells",
+            update.width, update.height, update.x, update.y, grid.width, grid.height
+        )));
+    }
+    for (index, percent) in update.percents().enumerate() {
+        let (row, column) = (update.y + index / update.width, update.x + index % update.width);
+        if let Some(cell) = grid.percents.get_mut(row * grid.width + column) {
+            *cell = percent;
+        }
+    }
+    Ok(())
+}
+
+fn states(rule: usize, state: &StateRule, message: &Value<'_>) -> Vec<Result<Made, NotMade>> {
+    let elements = state.place.elements(message);
+    elements.iter().map(|element| one_state(rule, state, element)).collect()
+}
+
+fn one_state(rule: usize, state: &StateRule, element: &Value<'_>) -> Result<Made, NotMade> {
+    let name = state.state.name(element).ok_or_else(no_name)?;
+    let missing = || NotMade::Wrong("the field is missing".to_owned());
+    let value = state.place.value(element).ok_or_else(missing)?;
+    let number = |text: &str| text.parse::<f64>().map_err(|_| NotMade::Wrong(format!("{text:?} is no number")));
+    let word = || shown(&value).ok_or_else(|| NotMade::Wrong("the field is neither a number nor text".to_owned()));
+    let made = |value: f64| Ok(Made::Value { state: name.clone(), value, rule });
+    match &state.value {
+        ValueRule::Same(value) => made(*value),
+        ValueRule::Table(table) => {
+            let word = word()?;
+            let to = table.get(&word).ok_or(NotMade::LeftOut(word))?;
+            if state.kind == ValueKind::Categorical {
+                Ok(Made::Label { state: name, label: to.clone(), rule })
+            } else {
+                made(number(to)?)
+            }
+        }
+        ValueRule::Number if state.kind == ValueKind::Categorical => {
+            Ok(Made::Label { state: name, label: word()?, rule })
+        }
+        ValueRule::Number => {
+            let length = value.list().map(<[Value<'_>]>::len).or_else(|| value.numbers().map(|numbers| numbers.len()));
+            match (value.number(), length) {
+                (Some(value), _) => made(value),
+                (None, Some(length)) => made(length as f64),
+                (None, None) => made(number(&word()?)?),
+            }
+        }
+    }
+}
+
+fn traversal(rule: &TraversalRule, message: &Value<'_>, end_nanos: i64) -> Result<Made, NotMade> {
+    let text = |path: &crate::message::Path| {
+        let value = path.value_in(message).and_then(|value| shown(&value));
+        value.ok_or_else(|| NotMade::Wrong(format!("{path} is no text")))
+    };
+    let (from, to, status) = (text(&rule.from)?, text(&rule.to)?, text(&rule.status)?);
+    let seconds = rule.seconds.value_in(message).and_then(|value| value.number()).unwrap_or(f64::NAN);
+    if !(0.0..1e9).contains(&seconds) {
+        return Err(NotMade::Wrong(format!("{} is {seconds}", rule.seconds)));
+    }
+    let success = rule.success.contains(&status.to_lowercase());
+    let start_nanos = end_nanos.saturating_sub((seconds * 1e9) as i64);
+    let reason = if success { String::new() } else { status };
+    Ok(Made::Traversal { from, to, start_nanos, success, reason })
+}

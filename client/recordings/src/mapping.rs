@@ -1,0 +1,96 @@
+//! The mapping: what a person wants to be made of the topics of a recording, as a YAML file.
+//!
+//! Invariant: a mapping that was read has paths, names and kinds that can be; whether a recording has its topics and
+//! fields is checked when a plan is made.
+
+mod rule;
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+pub(crate) use self::rule::shown;
+pub use self::rule::{Place, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
+
+/// What to make of a recording's topics, in addition to or instead of what is made by default.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mapping {
+    /// Topics that are left out.
+    pub skip: Vec<String>,
+    /// Topics of scans, clouds and grids that are taken even where they would be left out.
+    pub grid: Vec<String>,
+    /// Observations of states.
+    pub states: Vec<StateRule>,
+    /// Observations of positions.
+    pub positions: Vec<PositionRule>,
+    /// Traversals of edges.
+    pub traversals: Vec<TraversalRule>,
+}
+
+/// Why a mapping cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MappingError {
+    /// It is no mapping; the text has the line.
+    #[error("{0}")]
+    Yaml(String),
+    /// A key or a value of an entry is wrong.
+    #[error("{key}: {problem}")]
+    Entry {
+        /// Key of the entry.
+        key: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct MappingText {
+    skip: Vec<String>,
+    grid: Vec<String>,
+    states: BTreeMap<String, rule::StateText>,
+    positions: BTreeMap<String, rule::PositionText>,
+    traversals: BTreeMap<String, rule::TraversalText>,
+}
+
+impl Mapping {
+    /// Reads a mapping.
+    ///
+    /// # Errors
+    /// The text is no mapping, or an entry is wrong.
+    pub fn read(text: &str) -> Result<Self, MappingError> {
+        if text.trim().is_empty() {
+            return Ok(Self::default());
+        }
+        let read: MappingText = serde_saphyr::from_str(text).map_err(|error| MappingError::Yaml(error.to_string()))?;
+        let states = read.states.into_iter().map(|(key, text)| StateRule::read(&key, text).map_err(entry(&key)));
+        let positions =
+            read.positions.into_iter().map(|(key, text)| PositionRule::read(&key, text).map_err(entry(&key)));
+        let traversals =
+            read.traversals.into_iter().map(|(key, text)| TraversalRule::read(&key, text).map_err(entry(&key)));
+        Ok(Self {
+            skip: read.skip,
+            grid: read.grid,
+            states: states.collect::<Result<_, _>>()?,
+            positions: positions.collect::<Result<_, _>>()?,
+            traversals: traversals.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The topics that the mapping names.
+    pub fn topics(&self) -> impl Iterator<Item = &str> {
+        let states = self.states.iter().map(|rule| rule.place.topic.as_str());
+        let positions = self.positions.iter().map(|rule| rule.place.topic.as_str());
+        let traversals = self.traversals.iter().map(|rule| rule.topic.as_str());
+        let named = self.skip.iter().chain(&self.grid).map(String::as_str);
+        named.chain(states).chain(positions).chain(traversals)
+    }
+}
+
+fn entry(key: &str) -> impl FnOnce(String) -> MappingError {
+    let key = key.to_owned();
+    move |problem| MappingError::Entry { key, problem }
+}
+
+#[cfg(test)]
+mod tests;

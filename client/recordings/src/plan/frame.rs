@@ -1,0 +1,82 @@
+//! The frame in which the scans, clouds, grids and positions of a recording are placed.
+//!
+//! Invariant: the frame is one that a transform or a message names.
+
+use super::{GridUse, PlanError, TopicPlan};
+use crate::survey::{Surveyed, TopicSurvey};
+
+/// How the frame was chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrameChoice {
+    /// It was asked for.
+    Asked,
+    /// By its name: `map`, else `odom`.
+    Usual,
+    /// It is the root above the sensors.
+    Root,
+    /// No transforms are needed: it is the frame of the messages.
+    OfMessages,
+    /// There is none.
+    #[default]
+    None,
+}
+
+/// Names of frames that do not move, the best first.
+const USUAL: [&str; 2] = ["map", "odom"];
+
+pub(super) fn choose(
+    surveyed: &Surveyed,
+    plans: &[TopicPlan],
+    asked: Option<&str>,
+) -> Result<(Option<String>, FrameChoice), PlanError> {
+    let placed =
+        || surveyed.topics.iter().zip(plans).filter(|(_, plan)| plan.grid.is_some() || !plan.positions.is_empty());
+    let frames = &surveyed.frames;
+    if let Some(asked) = asked {
+        let asked = crate::frames::frame_name(asked);
+        if frames.knows(asked) || placed().any(|(topic, _)| topic.frame == asked) {
+            return Ok((Some(asked.to_owned()), FrameChoice::Asked));
+        }
+        return Err(PlanError::NoFrame { frame: asked.to_owned(), frames: names(surveyed) });
+    }
+    let connected = |topic: &TopicSurvey, within: &str| {
+        let chain = frames.chain(&topic.frame);
+        frames.chain(within).iter().any(|frame| chain.contains(frame))
+    };
+    // Sensors move: for them the frame must be another one than their own.
+    let moves = |plan: &TopicPlan| matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds));
+    for usual in USUAL {
+        if frames.knows(usual) && placed().any(|(topic, _)| connected(topic, usual)) {
+            return Ok((Some(usual.to_owned()), FrameChoice::Usual));
+        }
+    }
+    let root = placed().filter(|(topic, plan)| moves(plan) && frames.knows(&topic.frame)).find_map(|(topic, _)| {
+        let chain = frames.chain(&topic.frame);
+        chain.last().filter(|_| chain.len() > 1).map(|root| (*root).to_owned())
+    });
+    if let Some(root) = root {
+        return Ok((Some(root), FrameChoice::Root));
+    }
+    let of_messages = placed().find(|(topic, plan)| !moves(plan) && !topic.frame.is_empty());
+    Ok(match of_messages {
+        Some((topic, _)) => {
+            let chain = frames.chain(&topic.frame);
+            (chain.last().map(|root| (*root).to_owned()), FrameChoice::OfMessages)
+        }
+        None => (None, FrameChoice::None),
+    })
+}
+
+/// Frames of a recording, for a message.
+fn names(surveyed: &Surveyed) -> String {
+    let mut names: Vec<&str> = surveyed.topics.iter().map(|topic| topic.frame.as_str()).collect();
+    names.extend(surveyed.frames.names());
+    names.retain(|name| !name.is_empty());
+    names.sort_unstable();
+    names.dedup();
+    match names.len() {
+        0 => "none".to_owned(),
+        1..=30 => names.join(", "),
+        count => format!("{} and {} more", names.iter().take(30).copied().collect::<Vec<_>>().join(", "), count - 30),
+    }
+}

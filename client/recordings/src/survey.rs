@@ -1,0 +1,280 @@
+//! What is in a recording: its topics, how many messages each has and of which times, and the frames.
+//!
+//! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the first
+//! reason; none ends the survey.
+
+use std::{
+    collections::{BTreeMap, HashMap, HashSet},
+    rc::Rc,
+};
+
+use crate::{
+    definition::Constant,
+    frames::{Frames, TransformError, frame_name},
+    known,
+    layout::{self, Structure},
+    message::{self, Value},
+    recording::{Message, Sink, Stopped, Topic},
+};
+
+/// Types whose messages are transforms.
+const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
+
+/// First and last of some times, nanoseconds since 1970.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Span {
+    /// The earliest.
+    pub first_nanos: i64,
+    /// The latest.
+    pub last_nanos: i64,
+}
+
+impl Span {
+    fn extend(span: &mut Option<Self>, time_nanos: i64) {
+        *span = Some(match *span {
+            None => Self { first_nanos: time_nanos, last_nanos: time_nanos },
+            Some(Self { first_nanos, last_nanos }) => {
+                Self { first_nanos: first_nanos.min(time_nanos), last_nanos: last_nanos.max(time_nanos) }
+            }
+        });
+    }
+}
+
+/// A topic of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicSurvey {
+    /// Its name.
+    pub name: String,
+    /// Its type, without the folder of ROS 2.
+    pub type_name: String,
+    /// Number of messages.
+    pub messages: u64,
+    /// When they were recorded.
+    pub recorded: Option<Span>,
+    /// The times for which they hold, if they have such times.
+    pub stamps: Option<Span>,
+    /// Frame of the first message that names one, without a leading slash.
+    pub frame: String,
+    /// Number of messages that cannot be read.
+    pub unread: u64,
+    /// Why the first of them cannot be read.
+    pub problem: Option<String>,
+    /// Its fields, unless its definition cannot be read.
+    pub layout: Option<Rc<Structure>>,
+}
+
+impl TopicSurvey {
+    /// The constants of the type that a field is of, such as the names of the modes of a door.
+    pub fn constants(&self) -> &[Constant] {
+        self.layout.as_ref().map_or(&[], |layout| &layout.constants)
+    }
+}
+
+/// How the messages of a topic are read.
+#[derive(Clone, Debug)]
+pub(crate) struct Connection {
+    /// Index of the topic among those of the survey.
+    pub(crate) topic: usize,
+    pub(crate) layout: Result<Rc<Structure>, String>,
+    pub(crate) encoding: crate::recording::Encoding,
+}
+
+impl Connection {
+    pub(crate) fn read<'a>(&self, data: &'a [u8]) -> Result<Value<'a>, String> {
+        let layout = self.layout.as_ref().map_err(String::clone)?;
+        message::read(layout, &self.encoding, data).map_err(|error| error.to_string())
+    }
+}
+
+/// Indices of topics by name and type.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TopicTable(HashMap<(String, String), usize>);
+
+impl TopicTable {
+    /// The index of a topic, and whether it is new.
+    pub(crate) fn index(&mut self, topic: &Topic) -> (usize, bool) {
+        let count = self.0.len();
+        let index = *self.0.entry((topic.name.clone(), topic.type_name.clone())).or_insert(count);
+        (index, index == count)
+    }
+}
+
+pub(crate) fn connection(topic: &Topic, index: usize) -> Connection {
+    let layout = layout::of_type(&topic.type_name, &topic.definition).map_err(|error| error.to_string());
+    Connection { topic: index, layout, encoding: topic.encoding.clone() }
+}
+
+/// Surveys a recording: give it to a reader as the sink, for each file of the recording after [`Survey::next_file`].
+#[derive(Debug, Default)]
+pub struct Survey {
+    topics: Vec<TopicSurvey>,
+    table: TopicTable,
+    connections: Vec<Connection>,
+    frames: Frames,
+    /// Children whose transforms are kept; all if absent.
+    kept: Option<HashSet<String>>,
+    /// Whether there are more transforms than are kept.
+    too_many: bool,
+    parents: BTreeMap<String, String>,
+    bad_transforms: u64,
+    position: u64,
+    watch: Option<Watch>,
+}
+
+/// Is told how many bytes have been read.
+struct Watch(Box<dyn FnMut(u64)>);
+
+impl std::fmt::Debug for Watch {
+    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        to.write_str("Watch")
+    }
+}
+
+impl Survey {
+    /// Watches how many bytes of the current file have been read.
+    pub fn watched(mut self, watch: impl FnMut(u64) + 'static) -> Self {
+        self.watch = Some(Watch(Box::new(watch)));
+        self
+    }
+
+    /// Begins the next file of the recording.
+    pub fn next_file(&mut self) {
+        self.connections.clear();
+    }
+
+    /// Begins again with the first file, and keeps only the transforms between frames of sensors and their roots: for
+    /// recordings with more transforms than can be kept.
+    pub fn again_with_sensors(&mut self) {
+        let mut kept = HashSet::new();
+        for topic in &self.topics {
+            let mut frame = topic.frame.as_str();
+            while let Some(parent) = self.parents.get(frame) {
+                if !kept.insert(frame.to_owned()) {
+                    break;
+                }
+                frame = parent;
+            }
+        }
+        for root in ["map", "odom"] {
+            kept.insert(root.to_owned());
+        }
+        *self = Self {
+            kept: Some(kept),
+            parents: std::mem::take(&mut self.parents),
+            watch: self.watch.take(),
+            ..Self::default()
+        };
+    }
+
+    /// Whether the recording has more transforms than can be kept, so that some are missing.
+    pub fn has_too_many_transforms(&self) -> bool {
+        self.too_many
+    }
+
+    /// What was found: call it once after the last file.
+    pub fn finish(mut self) -> Surveyed {
+        self.frames.finish();
+        Surveyed {
+            topics: self.topics,
+            frames: self.frames,
+            bad_transforms: self.bad_transforms,
+            has_too_many_transforms: self.too_many,
+        }
+    }
+
+    fn transforms(&mut self, message: &Value<'_>, is_static: bool) -> Result<(), String> {
+        for transform in known::transforms(message).map_err(|error| error.to_string())? {
+            let Ok(transform) = transform else {
+                self.bad_transforms += 1;
+                continue;
+            };
+            if self.parents.len() < crate::recording::TOPICS_MAX {
+                self.parents.insert(transform.child.clone(), transform.parent.clone());
+            }
+            if self.kept.as_ref().is_some_and(|kept| !is_static && !kept.contains(&transform.child)) {
+                continue;
+            }
+            if self.frames.add(transform, is_static) == Err(TransformError::TooMany) {
+                self.too_many = true;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is in a recording.
+#[derive(Debug, Default)]
+pub struct Surveyed {
+    /// Its topics, in the order in which they were found.
+    pub topics: Vec<TopicSurvey>,
+    /// Its frames.
+    pub frames: Frames,
+    /// Number of transforms that are none: not finite, or without names.
+    pub bad_transforms: u64,
+    /// Whether it has more transforms than can be kept, so that some are missing.
+    pub has_too_many_transforms: bool,
+}
+
+/// Whether the messages of a type are transforms.
+pub fn is_transforms(type_name: &str) -> bool {
+    TRANSFORM_TYPES.contains(&type_name)
+}
+
+impl Sink for Survey {
+    fn topic(&mut self, topic: &Topic) -> bool {
+        let (index, is_new) = self.table.index(topic);
+        let connection = connection(topic, index);
+        if is_new {
+            self.topics.push(TopicSurvey {
+                name: topic.name.clone(),
+                type_name: topic.type_name.clone(),
+                messages: 0,
+                recorded: None,
+                stamps: None,
+                frame: String::new(),
+                unread: 0,
+                problem: None,
+                layout: connection.layout.clone().ok(),
+            });
+        }
+        self.connections.push(connection);
+        true
+    }
+
+    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
+        if let Some(Watch(watch)) = &mut self.watch
+            && position != self.position
+        {
+            self.position = position;
+            watch(position);
+        }
+        let Some(connection) = self.connections.get(message.topic) else { return Ok(()) };
+        let index = connection.topic;
+        let read = connection.read(message.data);
+        let Some(topic) = self.topics.get_mut(index) else { return Ok(()) };
+        topic.messages += 1;
+        Span::extend(&mut topic.recorded, message.recorded_nanos);
+        let problem = match read {
+            Ok(value) => {
+                if let Some(stamp) = known::stamp(&value) {
+                    Span::extend(&mut topic.stamps, stamp);
+                }
+                if topic.frame.is_empty() {
+                    topic.frame = known::frame(&value);
+                }
+                if is_transforms(&topic.type_name) {
+                    let is_static = frame_name(&topic.name).ends_with("tf_static");
+                    self.transforms(&value, is_static).err()
+                } else {
+                    None
+                }
+            }
+            Err(problem) => Some(problem),
+        };
+        if let (Some(problem), Some(topic)) = (problem, self.topics.get_mut(index)) {
+            topic.unread += 1;
+            topic.problem.get_or_insert(problem);
+        }
+        Ok(())
+    }
+}
