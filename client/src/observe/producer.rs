@@ -130,7 +130,7 @@ impl Producer {
     /// # Errors
     /// [`ProducerError`]; the observation is then not accepted.
     pub async fn send_label(&mut self, state: &str, time_nanos: i64, label: &str) -> Result<u64, ProducerError> {
-        let name = format!("{state}/{label}");
+        let name = label_name(state, label);
         self.take(&name, time_nanos, |window| window.push_label(&name, time_nanos)).await
     }
 
@@ -246,6 +246,11 @@ impl Producer {
             _ => Ok(progress),
         }
     }
+}
+
+/// The name by which a label is sent.
+pub(super) fn label_name(state: &str, label: &str) -> String {
+    format!("{state}/{label}")
 }
 
 impl Drop for Producer {

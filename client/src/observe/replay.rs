@@ -1,15 +1,19 @@
-//! What a daemon would have after receiving a file of scans, computed without sending it.
+//! What a daemon would have after receiving the scans and observations of a file, computed without sending them.
 //!
-//! Invariant: numbers, checksum and tiles are those of a producer that sent the same scans.
+//! Invariant: numbers, checksum and tiles are those of a producer that sent the same.
 
+use tidemap_model::Position;
 use tidemap_proto::{
-    convert::scans::{TileError, TileTable},
+    convert::{
+        scans::{TileError, TileTable},
+        traversals::{TraversalReport, report_to_wire},
+    },
     v1,
 };
 
-use super::{scan::Scan, window::Window};
+use super::{producer::label_name, scan::Scan, window::Window};
 
-/// Follows scans, from the first.
+/// Follows scans and observations, from the first.
 #[derive(Debug)]
 pub struct Replay(Window);
 
@@ -40,19 +44,44 @@ impl Replay {
         Ok(())
     }
 
+    /// The next observation, of a value.
+    pub fn value(&mut self, state: &str, time_nanos: i64, value: f64) {
+        let number = self.0.push(state, time_nanos, value);
+        number.into_iter().for_each(|number| self.follow(number));
+    }
+
+    /// The next observation, of a label.
+    pub fn label(&mut self, state: &str, time_nanos: i64, label: &str) {
+        let number = self.0.push_label(&label_name(state, label), time_nanos);
+        number.into_iter().for_each(|number| self.follow(number));
+    }
+
+    /// The next observation, of a position. One whose coordinates are not two or three is none.
+    pub fn position(&mut self, state: &str, time_nanos: i64, coordinates: &[f64]) {
+        let number =
+            Position::of(coordinates).and_then(|position| self.0.push_position(state, time_nanos, position));
+        number.into_iter().for_each(|number| self.follow(number));
+    }
+
+    /// The next traversal.
+    pub fn traversal(&mut self, report: &TraversalReport) {
+        let number = self.0.push_traversal(report_to_wire(report));
+        number.into_iter().for_each(|number| self.follow(number));
+    }
+
     fn follow(&mut self, number: u64) {
         self.0.sent(1);
         // What was just sent can be acknowledged.
         let _ = self.0.acknowledged(number);
     }
 
-    /// Number of scans so far.
+    /// Number of scans and observations so far.
     #[must_use]
-    pub fn scans(&self) -> u64 {
+    pub fn count(&self) -> u64 {
         self.0.durable()
     }
 
-    /// Checksum of the durable scans.
+    /// Their checksum.
     #[must_use]
     pub fn content_crc(&self) -> u32 {
         self.0.content_crc()
