@@ -1,0 +1,183 @@
+//! The folder of a recording of rosbag2: its `metadata.yaml`.
+//!
+//! Invariant: a name of a file stays within the folder.
+
+use std::path::{Component, Path};
+
+use serde::Deserialize;
+
+use crate::{chunk::shortened, recording::RecordingError};
+
+/// Name of the file that describes the folder.
+pub const METADATA_NAME: &str = "metadata.yaml";
+/// Maximum number of bytes of that file.
+pub const METADATA_BYTES_MAX: usize = 4 << 20;
+/// End of the names of files that are compressed as a whole. [`ZstdStream`](crate::zstd_stream::ZstdStream) reads them.
+pub const ZSTD_ENDING: &str = ".zstd";
+
+/// Before this version, the name of the folder stands before the names of its files.
+const VERSION_WITH_RELATIVE_NAMES: i64 = 4;
+
+/// What `metadata.yaml` says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Folder {
+    /// How the files are stored, such as `sqlite3` or `mcap`.
+    pub storage: String,
+    /// Names of the files within the folder, in the order of the recording.
+    pub files: Vec<String>,
+    /// What is compressed with zstd.
+    pub compression: Compression,
+}
+
+/// What of a recording of rosbag2 is compressed with zstd.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Compression {
+    /// Nothing, or chunks within the files.
+    None,
+    /// Each message. The readers find it out by themselves.
+    Message,
+    /// Each file as a whole.
+    File,
+}
+
+#[derive(Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Deserialize)]
+struct Information {
+    #[serde(default)]
+    version: i64,
+    #[serde(default)]
+    storage_identifier: String,
+    #[serde(default)]
+    relative_file_paths: Vec<String>,
+    #[serde(default)]
+    compression_format: String,
+    #[serde(default)]
+    compression_mode: String,
+}
+
+impl Folder {
+    /// Takes the text of `metadata.yaml`.
+    ///
+    /// # Errors
+    /// If it is no such text, is longer than [`METADATA_BYTES_MAX`], lists no file or one outside of the folder, or
+    /// names a compression that is not known.
+    pub fn parse(text: &str) -> Result<Self, RecordingError> {
+        if text.len() > METADATA_BYTES_MAX {
+            let what = METADATA_NAME.to_owned();
+            return Err(RecordingError::TooLarge { what, bytes: text.len() as u64, max: METADATA_BYTES_MAX });
+        }
+        let document: Document = serde_saphyr::from_str(text)
+            .map_err(|error| RecordingError::Broken(format!("{METADATA_NAME} is none of rosbag2: {error}")))?;
+        let information = document.rosbag2_bagfile_information;
+        let compression = compression(&information)?;
+        let version = information.version;
+        let files: Vec<String> = information
+            .relative_file_paths
+            .into_iter()
+            .map(|path| file_name(path, version))
+            .collect::<Result<_, _>>()?;
+        if files.is_empty() {
+            return Err(RecordingError::Broken(format!(
+                "{METADATA_NAME} lists no files under relative_file_paths: the recorder did not end; run \
+                 `ros2 bag reindex` on the folder, or name the file itself"
+            )));
+        }
+        Ok(Self { storage: information.storage_identifier, files, compression })
+    }
+}
+
+fn compression(information: &Information) -> Result<Compression, RecordingError> {
+    let mode = match information.compression_mode.to_ascii_uppercase().as_str() {
+        "" | "NONE" => return Ok(Compression::None),
+        "MESSAGE" => Compression::Message,
+        "FILE" => Compression::File,
+        _ => {
+            let mode = shortened(&information.compression_mode);
+            return Err(RecordingError::Unknown(format!(
+                "{METADATA_NAME} has the compression_mode {mode:?}; NONE, MESSAGE and FILE are known"
+            )));
+        }
+    };
+    if information.compression_format != "zstd" {
+        let format = shortened(&information.compression_format);
+        return Err(RecordingError::Unknown(format!(
+            "{METADATA_NAME} has the compression_format {format:?}; only \"zstd\" is read: convert the recording with \
+             `ros2 bag convert`"
+        )));
+    }
+    Ok(mode)
+}
+
+fn file_name(path: String, version: i64) -> Result<String, RecordingError> {
+    let is_inside = Path::new(&path).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let last = Path::new(&path).file_name().and_then(|name| name.to_str());
+    match last {
+        Some(last) if is_inside && version < VERSION_WITH_RELATIVE_NAMES => Ok(last.to_owned()),
+        Some(_) if is_inside => Ok(path),
+        _ => Err(RecordingError::Broken(format!(
+            "{METADATA_NAME} lists the file {:?}, which is not inside of the folder",
+            shortened(&path)
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(version: i64, files: &str, compression: &str) -> String {
+        format!(
+            "rosbag2_bagfile_information:\n  version: {version}\n  storage_identifier: mcap\n  message_count: 3\n  \
+             relative_file_paths:\n{files}\n{compression}\n  topics_with_message_count:\n    - topic_metadata:\n        \
+             name: /scan\n        offered_qos_profiles: []\n"
+        )
+    }
+
+    #[test]
+    fn files_come_in_their_order() {
+        let folder =
+            Folder::parse(&text(9, "    - walk_1.mcap\n    - walk_0.mcap", "  compression_mode: \"\"")).unwrap();
+        let files = vec!["walk_1.mcap".to_owned(), "walk_0.mcap".to_owned()];
+        assert_eq!(folder, Folder { storage: "mcap".to_owned(), files, compression: Compression::None });
+    }
+
+    #[test]
+    fn old_names_lose_their_folder() {
+        let folder = Folder::parse(&text(3, "    - walk/walk_0.db3", "")).unwrap();
+        assert_eq!(folder.files, ["walk_0.db3"]);
+    }
+
+    #[test]
+    fn the_compression_is_known_or_refused() {
+        let with = |lines: &str| Folder::parse(&text(5, "    - a.mcap.zstd", lines)).map(|folder| folder.compression);
+        let file = with("  compression_format: zstd\n  compression_mode: FILE").unwrap();
+        assert_eq!(file, Compression::File);
+        let message = with("  compression_format: zstd\n  compression_mode: message").unwrap();
+        assert_eq!(message, Compression::Message);
+        let error = with("  compression_format: lz4\n  compression_mode: FILE").unwrap_err().to_string();
+        assert!(error.contains("\"lz4\""), "{error}");
+        let error = with("  compression_mode: BOTH").unwrap_err().to_string();
+        assert!(error.contains("\"BOTH\""), "{error}");
+    }
+
+    #[test]
+    fn files_outside_of_the_folder_are_refused() {
+        for path in ["../a.mcap", "/a.mcap", "b/../../a.mcap", ".."] {
+            for version in [3, 9] {
+                let error = Folder::parse(&text(version, &format!("    - {path}"), "")).unwrap_err().to_string();
+                assert!(error.contains("not inside"), "{path}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_text_without_files_says_what_to_do() {
+        let error = Folder::parse("rosbag2_bagfile_information: {version: 9}").unwrap_err().to_string();
+        assert!(error.contains("ros2 bag reindex"), "{error}");
+        assert!(matches!(Folder::parse("image: map.pgm"), Err(RecordingError::Broken(_))));
+    }
+}

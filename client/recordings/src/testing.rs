@@ -1,0 +1,39 @@
+//! What the tests of the readers share.
+//!
+//! Invariant: what is handed out is kept as it came.
+
+use crate::recording::{Ending, Message, RecordingError, Sink, Stopped, Topic};
+
+/// Keeps all that it is given.
+#[derive(Default)]
+pub(crate) struct Recorder {
+    pub(crate) topics: Vec<Topic>,
+    /// Index of the topic, time and bytes of each message.
+    pub(crate) messages: Vec<(usize, i64, Vec<u8>)>,
+    /// Topics of these names are not wanted.
+    pub(crate) unwanted: Vec<&'static str>,
+    /// Stops with this many messages.
+    pub(crate) stop_at: Option<usize>,
+    pub(crate) position: u64,
+}
+
+impl Sink for Recorder {
+    fn topic(&mut self, topic: &Topic) -> bool {
+        self.topics.push(topic.clone());
+        !self.unwanted.contains(&topic.name.as_str())
+    }
+
+    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
+        assert!(message.topic < self.topics.len(), "a message of a topic that was not handed out");
+        assert!(position >= self.position, "the position goes back");
+        self.position = position;
+        self.messages.push((message.topic, message.recorded_nanos, message.data.to_vec()));
+        if self.stop_at.is_some_and(|count| self.messages.len() >= count) { Err(Stopped) } else { Ok(()) }
+    }
+}
+
+/// Checks what holds for any cut: an ending that says so, and a prefix of the messages.
+pub(crate) fn check_cut(whole: &Recorder, cut: &Recorder, ending: &Result<Ending, RecordingError>) {
+    assert!(matches!(ending, Ok(Ending::CutOff(_))), "{ending:?}");
+    assert!(whole.messages.starts_with(&cut.messages), "{} messages are no prefix", cut.messages.len());
+}
