@@ -109,12 +109,12 @@ pub(crate) fn definition(name: &str) -> Option<Definition> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layout;
+    use crate::{layout, recording::Encoding};
 
     #[test]
     fn every_known_type_has_a_layout() {
         for (name, fields) in TYPES {
-            let layout = layout::of_type(name, "");
+            let layout = layout::of_type(name, "", &Encoding::Cdr);
             let count =
                 if fields.is_empty() { 0 } else { fields.split(',').filter(|field| !field.contains('=')).count() };
             assert_eq!(layout.map(|layout| layout.fields.len()), Ok(count), "{name}");

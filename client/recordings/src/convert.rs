@@ -225,6 +225,7 @@ impl Converter {
     /// The pose of a frame at a time in the frame of the plan.
     fn pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
         match &self.plan.frame {
+            _ if frame.is_empty() => Err(NotMade::Wrong("the message names no frame".to_owned())),
             None => Err(NotMade::NoFrame(frame.to_owned())),
             Some(within) => Ok(self.surveyed.frames.pose(frame, within, stamp_nanos)?),
         }
@@ -258,7 +259,7 @@ impl Converter {
             }
             GridUse::Grids => {
                 let grid = Grid::read(message)?;
-                let place = self.pose(&frame, stamp)?;
+                let place = if frame.is_empty() { Isometry3::identity() } else { self.pose(&frame, stamp)? };
                 let Grid { resolution_m, width, height, origin, .. } = grid;
                 let percents = grid.percents().collect();
                 let placed = PlacedGrid { resolution_m, width, height, origin: place * origin, percents };

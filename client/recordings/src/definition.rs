@@ -11,6 +11,10 @@ const TYPES_MAX: usize = 1_000;
 /// Maximum number of fields and constants of a type.
 const MEMBERS_MAX: usize = 2_000;
 
+/// The header of messages, and its name before 2010.
+const HEADER: &str = "std_msgs/Header";
+const OLD_HEADER: &str = "roslib/Header";
+
 /// A type that every language of messages has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Primitive {
@@ -192,6 +196,9 @@ pub fn parse(type_name: &str, text: &str) -> Result<HashMap<String, Definition>,
             return Err(DefinitionError::TooLong { type_name: type_name.to_owned(), what: "types", max: TYPES_MAX });
         }
         name = short_name(next.trim());
+        if name == OLD_HEADER {
+            HEADER.clone_into(&mut name);
+        }
     }
     let definition = parse_one(&name, &lines)?;
     types.entry(name).or_insert(definition);
@@ -258,8 +265,8 @@ fn counted(type_text: &str) -> Option<(&str, Count)> {
 
 fn full_name(package: &str, name: &str) -> Option<String> {
     let is_word = |text: &str| text.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-    if name == "Header" || name == "roslib/Header" {
-        return Some("std_msgs/Header".to_owned());
+    if name == "Header" || name == OLD_HEADER {
+        return Some(HEADER.to_owned());
     }
     let short = short_name(name);
     match short.split_once('/') {

@@ -7,6 +7,7 @@ use std::{collections::HashMap, rc::Rc};
 use crate::{
     built_in,
     definition::{self, Constant, Count, Definition, DefinitionError, FieldType, Primitive},
+    recording::Encoding,
 };
 
 /// Maximum depth of types within types.
@@ -20,7 +21,7 @@ pub enum Kind {
     /// A value that has no fields.
     Primitive(Primitive),
     /// A value with fields.
-    Structure(Rc<Structure>),
+    Structure(Arc<Structure>),
 }
 
 /// The fields of a type.
@@ -52,27 +53,28 @@ impl Structure {
     }
 }
 
-/// Makes the layout of a type. Types that `text` does not define are looked up among those that tidemap knows; with an
-/// empty text that is all of them.
+/// Makes the layout of a type. In messages of ROS 2, types that `text` does not define are looked up among those that
+/// tidemap knows; with an empty text that is all of them. Those of ROS 1 have other fields, and bags define them all.
 ///
 /// # Errors
 /// The text is no definition, or a type is missing or contains itself.
-pub fn of_type(type_name: &str, text: &str) -> Result<Rc<Structure>, DefinitionError> {
+pub fn of_type(type_name: &str, text: &str, encoding: &Encoding) -> Result<Arc<Structure>, DefinitionError> {
     let name = definition::short_name(type_name);
     // An empty definition is that of a type without fields, such as std_msgs/Empty, or none at all.
     let types = if text.trim().is_empty() { HashMap::new() } else { definition::parse(&name, text)? };
-    let mut making = Making { types, made: HashMap::new(), fields: 0 };
+    let mut making = Making { types, knows_usual: *encoding == Encoding::Cdr, made: HashMap::new(), fields: 0 };
     making.structure(&name, 0)
 }
 
 struct Making {
     types: HashMap<String, Definition>,
-    made: HashMap<String, Rc<Structure>>,
+    knows_usual: bool,
+    made: HashMap<String, Arc<Structure>>,
     fields: usize,
 }
 
 impl Making {
-    fn structure(&mut self, name: &str, depth: usize) -> Result<Rc<Structure>, DefinitionError> {
+    fn structure(&mut self, name: &str, depth: usize) -> Result<Arc<Structure>, DefinitionError> {
         if let Some(made) = self.made.get(name) {
             return Ok(made.clone());
         }
@@ -81,7 +83,10 @@ impl Making {
         }
         let definition = match self.types.get(name) {
             Some(definition) => definition.clone(),
-            None => built_in::definition(name).ok_or_else(|| DefinitionError::Missing(name.to_owned()))?,
+            None => {
+                let usual = if self.knows_usual { built_in::definition(name) } else { None };
+                usual.ok_or_else(|| DefinitionError::Missing(name.to_owned()))?
+            }
         };
         self.fields += definition.fields.len();
         if self.fields > FIELDS_MAX {
@@ -96,7 +101,7 @@ impl Making {
             };
             fields.push(LaidField { name: field.name, kind, count: field.count });
         }
-        let structure = Rc::new(Structure { type_name: name.to_owned(), fields, constants: definition.constants });
+        let structure = Arc::new(Structure { type_name: name.to_owned(), fields, constants: definition.constants });
         self.made.insert(name.to_owned(), structure.clone());
         Ok(structure)
     }
@@ -113,13 +118,13 @@ mod tests {
             "std_msgs/Header header\nInner inner\n====================\nMSG: a_msgs/Inner\nint8 x",
         )?;
         assert_eq!(layout.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>(), ["header", "inner"]);
-        let missing = of_type("a_msgs/Own", "Inner inner");
+        let missing = of_type("a_msgs/Own", "Inner inner", &Encoding::Cdr);
         assert_eq!(missing, Err(DefinitionError::Missing("a_msgs/Inner".to_owned())));
         Ok(())
     }
 
     #[test]
     fn a_type_that_contains_itself_is_refused() {
-        assert_eq!(of_type("a/B", "a/B inner"), Err(DefinitionError::Endless("a/B".to_owned())));
+        assert_eq!(of_type("a/B", "a/B inner", &Encoding::Cdr), Err(DefinitionError::Endless("a/B".to_owned())));
     }
 }

@@ -6,7 +6,7 @@
 mod cursor;
 mod path;
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 pub use self::path::{Path, PathError};
 
@@ -60,7 +60,7 @@ pub enum Value<'a> {
     /// An array of other values.
     List(Vec<Value<'a>>),
     /// A value with fields, in the order of its layout.
-    Structure(Rc<Structure>, Vec<Value<'a>>),
+    Structure(Arc<Structure>, Vec<Value<'a>>),
 }
 
 /// An array of numbers, as its bytes.
@@ -178,7 +178,7 @@ impl<'a> Value<'a> {
 ///
 /// # Errors
 /// The bytes end early, hold too many values, or are of an encoding that is not read.
-pub fn read<'a>(layout: &Rc<Structure>, encoding: &Encoding, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
+pub fn read<'a>(layout: &Arc<Structure>, encoding: &Encoding, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
     let mut cursor = match encoding {
         Encoding::Ros1 => Cursor::ros1(bytes),
         Encoding::Cdr => Cursor::cdr(bytes)?,
@@ -187,7 +187,7 @@ pub fn read<'a>(layout: &Rc<Structure>, encoding: &Encoding, bytes: &'a [u8]) ->
     structure(layout, &mut cursor)
 }
 
-fn structure<'a>(layout: &Rc<Structure>, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+fn structure<'a>(layout: &Arc<Structure>, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
     if layout.fields.is_empty() {
         cursor.empty_structure();
     }

@@ -137,7 +137,7 @@ pub fn plan(surveyed: &Surveyed, wishes: &Wishes) -> Result<Plan, PlanError> {
         }
     }
     let mut plans = topics.iter().map(|topic| topic_plan(topic, wishes)).collect::<Result<Vec<_>, _>>()?;
-    prefer_scans(topics, &mut plans, &wishes.mapping);
+    prefer_scans(surveyed, &mut plans, wishes);
     find_changed_grids(topics, &mut plans);
     let (frame, choice) = frame::choose(surveyed, &plans, wishes.frame.as_deref())?;
     Ok(Plan { topics: plans, frame, choice })
@@ -279,10 +279,15 @@ fn state_name(topic: &str) -> String {
 }
 
 /// Leaves out grids that were made of the scans that are taken as well, and grids of costs.
-fn prefer_scans(topics: &[TopicSurvey], plans: &mut [TopicPlan], mapping: &Mapping) {
-    let has_scans = plans.iter().any(|plan| matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds)));
-    for (topic, plan) in topics.iter().zip(plans) {
-        if !matches!(plan.grid, Some(GridUse::Grids | GridUse::GridChanges(_))) || mapping.grid.contains(&topic.name) {
+fn prefer_scans(surveyed: &Surveyed, plans: &mut [TopicPlan], wishes: &Wishes) {
+    let is_placed = |topic: &TopicSurvey, plan: &TopicPlan| {
+        matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))
+            && (surveyed.frames.knows(&topic.frame) || wishes.frame.as_ref() == Some(&topic.frame))
+    };
+    let has_scans = surveyed.topics.iter().zip(&*plans).any(|(topic, plan)| is_placed(topic, plan));
+    for (topic, plan) in surveyed.topics.iter().zip(plans) {
+        let is_grid = matches!(plan.grid, Some(GridUse::Grids | GridUse::GridChanges(_)));
+        if !is_grid || wishes.mapping.grid.contains(&topic.name) {
             continue;
         }
         let why = if topic.name.contains("costmap") {

@@ -5,7 +5,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
-    rc::Rc,
+    sync::Arc,
 };
 
 use crate::{
@@ -60,7 +60,7 @@ pub struct TopicSurvey {
     /// Why the first of them cannot be read.
     pub problem: Option<String>,
     /// Its fields, unless its definition cannot be read.
-    pub layout: Option<Rc<Structure>>,
+    pub layout: Option<Arc<Structure>>,
 }
 
 impl TopicSurvey {
@@ -75,7 +75,7 @@ impl TopicSurvey {
 pub(crate) struct Connection {
     /// Index of the topic among those of the survey.
     pub(crate) topic: usize,
-    pub(crate) layout: Result<Rc<Structure>, String>,
+    pub(crate) layout: Result<Arc<Structure>, String>,
     pub(crate) encoding: crate::recording::Encoding,
 }
 
@@ -100,7 +100,8 @@ impl TopicTable {
 }
 
 pub(crate) fn connection(topic: &Topic, index: usize) -> Connection {
-    let layout = layout::of_type(&topic.type_name, &topic.definition).map_err(|error| error.to_string());
+    let layout =
+        layout::of_type(&topic.type_name, &topic.definition, &topic.encoding).map_err(|error| error.to_string());
     Connection { topic: index, layout, encoding: topic.encoding.clone() }
 }
 

@@ -48,7 +48,7 @@ fn values(big_endian: bool, packed: bool) -> Vec<u8> {
 
 #[test]
 fn values_are_read_from_ros_1_and_from_cdr_of_both_orders() -> Outcome {
-    let layout = layout::of_type("t/Outer", TEXT)?;
+    let layout = layout::of_type("t/Outer", TEXT, &Encoding::Cdr)?;
     let cases = [
         (Encoding::Ros1, values(false, true)),
         (Encoding::Cdr, values(false, false)),
@@ -72,7 +72,7 @@ fn values_are_read_from_ros_1_and_from_cdr_of_both_orders() -> Outcome {
 
 #[test]
 fn a_path_is_checked_against_the_layout() -> Outcome {
-    let layout = layout::of_type("t/Outer", TEXT)?;
+    let layout = layout::of_type("t/Outer", TEXT, &Encoding::Cdr)?;
     let wrong = |path: &str| {
         Path::parse(path).and_then(|path| path.field_in(&layout).map(|_| ())).err().map(|error| error.to_string())
     };
@@ -94,20 +94,20 @@ fn a_path_is_checked_against_the_layout() -> Outcome {
 
 #[test]
 fn a_message_of_many_empty_values_is_refused() -> Outcome {
-    let layout = layout::of_type("t/Many", "string[] names")?;
+    let layout = layout::of_type("t/Many", "string[] names", &Encoding::Cdr)?;
     let mut bytes = vec![0, 1, 0, 0];
     let count = u32::try_from(VALUES_MAX)? + 1;
     bytes.extend(count.to_le_bytes());
     bytes.resize(bytes.len() + 4 * (VALUES_MAX + 1), 0);
     assert_eq!(read(&layout, &Encoding::Cdr, &bytes), Err(MessageError::TooManyValues));
-    let none = layout::of_type("t/None", "std_msgs/Empty[] none")?;
+    let none = layout::of_type("t/None", "std_msgs/Empty[] none", &Encoding::Cdr)?;
     assert_eq!(read(&none, &Encoding::Ros1, &u32::MAX.to_le_bytes()), Err(MessageError::TooManyValues));
     Ok(())
 }
 
 #[test]
 fn an_encoding_that_is_not_read_is_named() -> Outcome {
-    let layout = layout::of_type("std_msgs/Bool", "")?;
+    let layout = layout::of_type("std_msgs/Bool", "", &Encoding::Cdr)?;
     assert_eq!(read(&layout, &Encoding::Cdr, &[0, 3, 0, 0, 1]), Err(MessageError::Representation([0, 3])));
     let json = read(&layout, &Encoding::Other("json".to_owned()), b"{}");
     assert!(json.is_err_and(|error| error.to_string().contains("json")));
@@ -116,14 +116,14 @@ fn an_encoding_that_is_not_read_is_named() -> Outcome {
 
 #[test]
 fn times_of_both_generations_are_nanoseconds() -> Outcome {
-    let ros2 = layout::of_type("std_msgs/Header", "")?;
+    let ros2 = layout::of_type("std_msgs/Header", "", &Encoding::Cdr)?;
     let mut bytes = vec![0, 1, 0, 0];
     bytes.extend(5_i32.to_le_bytes());
     bytes.extend(7_u32.to_le_bytes());
     bytes.extend([1, 0, 0, 0, 0]);
     let header = read(&ros2, &Encoding::Cdr, &bytes)?;
     assert_eq!(header.field("stamp").and_then(Value::time_nanos), Some(5_000_000_007));
-    let ros1 = layout::of_type("t/Stamped", "time stamp")?;
+    let ros1 = layout::of_type("t/Stamped", "time stamp", &Encoding::Ros1)?;
     let bytes = [u32::MAX.to_le_bytes(), u32::MAX.to_le_bytes()].concat();
     let stamped = read(&ros1, &Encoding::Ros1, &bytes)?;
     let latest = i64::from(u32::MAX) * 1_000_000_001;
@@ -134,7 +134,7 @@ fn times_of_both_generations_are_nanoseconds() -> Outcome {
 proptest! {
     #[test]
     fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200), cut in 0..100_usize) {
-        let layout = layout::of_type("t/Outer", TEXT).map_err(|error| TestCaseError::fail(error.to_string()))?;
+        let layout = layout::of_type("t/Outer", TEXT, &Encoding::Cdr).map_err(|error| TestCaseError::fail(error.to_string()))?;
         for (encoding, whole) in [(Encoding::Ros1, values(false, true)), (Encoding::Cdr, values(false, false))] {
             let _ = read(&layout, &encoding, &bytes);
             let short = whole.get(..whole.len().saturating_sub(cut)).unwrap_or(&whole);

@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 
 use super::*;
-use crate::{frames::Transform, layout};
+use crate::{frames::Transform, layout, recording::Encoding};
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
@@ -17,7 +17,7 @@ fn topic(name: &str, type_name: &str, frame: &str) -> TopicSurvey {
         frame: frame.to_owned(),
         unread: 0,
         problem: None,
-        layout: layout::of_type(type_name, "").ok(),
+        layout: layout::of_type(type_name, "", &Encoding::Cdr).ok(),
     }
 }
 

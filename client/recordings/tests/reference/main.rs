@@ -11,8 +11,9 @@ use tidemap_recordings::{
     recording::{Ending, FileKind, Message, RecordingError, Sink, Stopped, Topic},
 };
 
-#[path = "../../../server/model/tests/recordings/folder.rs"]
+#[path = "../../../../server/model/tests/recordings/folder.rs"]
 mod beside;
+mod cells;
 
 /// Type, number of messages, first and last time of recording.
 type Found = (String, u64, Option<(i64, i64)>);
