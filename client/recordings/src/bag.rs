@@ -15,7 +15,7 @@ use crate::{
         BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, Message, RecordingError, Sink,
         Topic,
     },
-    source::{Fields, Source},
+    source::{ByteSource, Fields},
     topics::Topics,
 };
 
@@ -24,6 +24,8 @@ pub const MAGIC: &[u8; 13] = b"#ROSBAG V2.0\n";
 
 /// The headers that the format knows have some hundred bytes, and a connection's name of a topic.
 const HEADER_BYTES_MAX: u32 = 1 << 20;
+/// The lengths of its header and its data.
+const RECORD_BYTES_MIN: usize = 8;
 const INDEX_ENTRY_BYTES: u64 = 12;
 const SECOND_NANOS: i64 = 1_000_000_000;
 
@@ -40,7 +42,7 @@ const OP_CONNECTION: u8 = 7;
 /// If the source cannot be read, is no such bag, is encrypted, breaks the format or the limits of
 /// [`recording`](crate::recording), or the sink wants no more.
 pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
-    let mut reader = Reader::new(source);
+    let mut reader = BagReader::new(source);
     match reader.read_all(sink) {
         Ok(()) => Ok(reader.ending()),
         Err(RecordingError::Io(error)) if error.kind() == io::ErrorKind::UnexpectedEof => {
@@ -51,8 +53,21 @@ pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, Recording
     }
 }
 
-struct Reader<R> {
-    source: Source<R>,
+/// What to do with a bag of another version; `None` if these are not the first bytes of one.
+pub(crate) fn other_version(bytes: &[u8]) -> Option<String> {
+    let line = bytes.strip_prefix(b"#")?.split(|byte| *byte == b'\n').next()?;
+    if bytes.starts_with(MAGIC) || !(line.starts_with(b"ROSRECORD V") || line.starts_with(b"ROSBAG V")) {
+        return None;
+    }
+    let version = line[..line.len().min(32)].escape_ascii();
+    Some(format!(
+        "this is a bag of ROS 1 of format {version}; format 2.0 is read: convert it on a computer with ROS 1, with \
+         `rosbag fix OLD.bag NEW.bag`"
+    ))
+}
+
+struct BagReader<R> {
+    source: ByteSource<R>,
     /// Where the reading is, for the text of a file that is cut off.
     place: &'static str,
     header: Vec<u8>,
@@ -72,10 +87,10 @@ struct Connection {
     type_name: String,
 }
 
-impl<R: Read> Reader<R> {
+impl<R: Read> BagReader<R> {
     fn new(source: R) -> Self {
         Self {
-            source: Source::new(source),
+            source: ByteSource::new(source),
             place: "within its first line",
             header: Vec::new(),
             data: Vec::new(),
@@ -90,8 +105,10 @@ impl<R: Read> Reader<R> {
     }
 
     fn read_all(&mut self, sink: &mut dyn Sink) -> Result<(), RecordingError> {
+        let other = other_version(self.source.peek(32)?);
         if self.source.array::<13>()? != *MAGIC {
-            return Err(RecordingError::Unknown("the file is no bag of ROS 1, format 2.0".to_owned()));
+            let text = other.unwrap_or_else(|| "the file is no bag of ROS 1, format 2.0".to_owned());
+            return Err(RecordingError::Unknown(text));
         }
         while !self.source.is_at_end()? {
             self.place = "within the header of a record";
@@ -212,7 +229,14 @@ impl<R: Read> Reader<R> {
             _ => stated,
         };
         self.source.skip(stated.min(counted))?;
-        if stated != counted && !begins_record(self.source.peek(32)?) {
+        if stated == counted {
+            return Ok(());
+        }
+        let ahead = self.source.peek(32)?;
+        if !ahead.is_empty() && ahead.len() < RECORD_BYTES_MIN {
+            return Err(RecordingError::Io(io::ErrorKind::UnexpectedEof.into()));
+        }
+        if !begins_record(ahead) {
             self.source.skip(stated.abs_diff(counted))?;
         }
         Ok(())
@@ -362,7 +386,7 @@ fn begins_record(bytes: &[u8]) -> bool {
     let name = rest.0.iter().take_while(|byte| is_name(byte)).count();
     header <= HEADER_BYTES_MAX
         && field <= header.saturating_sub(4)
-        && name > 0
+        && (name > 0 || rest.0.is_empty())
         && rest.0.get(name).is_none_or(|byte| *byte == b'=')
 }
 

@@ -81,11 +81,8 @@ fn what_it_is(bytes: &[u8]) -> String {
     if bytes.is_empty() {
         return "the file is empty".to_owned();
     }
-    if let Some(version) = old_version(bytes) {
-        return format!(
-            "this is a bag of ROS 1 of format {version}; format 2.0 is read: convert it on a computer with ROS 1, with \
-             `rosbag fix OLD.bag NEW.bag`"
-        );
+    if let Some(text) = bag::other_version(bytes) {
+        return text;
     }
     if let Some((_, text)) = OTHERS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         return (*text).to_owned();
@@ -106,19 +103,13 @@ fn what_it_is(bytes: &[u8]) -> String {
     format!("this is no recording that is known: bags of ROS 1, rosbag2 and MCAP are read. It begins with \"{first}\"")
 }
 
-/// The version of a bag older than 2.0, such as `ROSRECORD V1.2`.
-fn old_version(bytes: &[u8]) -> Option<String> {
-    let line = bytes.strip_prefix(b"#")?.split(|byte| *byte == b'\n').next()?;
-    let is_bag = line.starts_with(b"ROSRECORD V") || line.starts_with(b"ROSBAG V");
-    (is_bag && line.len() <= 32).then(|| line.escape_ascii().to_string())
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
     use super::*;
-    use crate::testing::Recorder;
+    use crate::{bag::tests::BagWriter, testing::KeptMessages, zstd_stream::ZstdStream};
 
     fn text(bytes: &[u8]) -> String {
         match FileKind::detect(bytes) {
@@ -162,8 +153,23 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_is_compressed_as_a_whole_is_read_while_it_is_decompressed() {
+        let plain = BagWriter::default().write(&vec![vec![(0, (10, 5), vec![1, 2])]]);
+        let packed = compress_to_vec(&plain[..], CompressionLevel::Fastest);
+        let read_packed = |bytes: &[u8]| {
+            let mut kept = KeptMessages::default();
+            let ending = read_stream(FileKind::Bag, ZstdStream::new(bytes), &mut kept);
+            (kept.messages, ending.unwrap())
+        };
+        let messages = vec![(0, 10_000_000_005, vec![1, 2])];
+        assert_eq!(read_packed(&packed), (messages, Ending::Whole));
+        let (messages, ending) = read_packed(&packed[..packed.len() / 2]);
+        assert!(messages.is_empty() && matches!(ending, Ending::CutOff(_)), "{ending:?}");
+    }
+
+    #[test]
     fn a_database_is_not_read_as_a_stream() {
-        let error = read_stream(FileKind::Sqlite, &b""[..], &mut Recorder::default()).unwrap_err();
+        let error = read_stream(FileKind::Sqlite, &b""[..], &mut KeptMessages::default()).unwrap_err();
         assert!(error.to_string().contains("zstd -d"), "{error}");
     }
 

@@ -16,7 +16,7 @@ use crate::{
         BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, Message, RecordingError, Sink,
         Topic,
     },
-    source::{Fields, Source},
+    source::{ByteSource, Fields},
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
 
@@ -40,8 +40,8 @@ const COMPRESSION_BYTES_MAX: usize = 256;
 /// If the source cannot be read, is no MCAP, breaks the format, a checksum or the limits of
 /// [`recording`](crate::recording), or the sink wants no more.
 pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
-    let mut reader = Reader {
-        source: Source::new(source),
+    let mut reader = McapReader {
+        source: ByteSource::new(source),
         place: "within its first bytes",
         record: Vec::new(),
         unpacked: Vec::new(),
@@ -57,8 +57,8 @@ pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, Recording
     }
 }
 
-struct Reader<R> {
-    source: Source<R>,
+struct McapReader<R> {
+    source: ByteSource<R>,
     /// Where the reading is, for the text of a file that is cut off.
     place: &'static str,
     record: Vec<u8>,
@@ -66,7 +66,7 @@ struct Reader<R> {
     messages: Messages,
 }
 
-impl<R: Read> Reader<R> {
+impl<R: Read> McapReader<R> {
     fn read_all(&mut self, sink: &mut dyn Sink) -> Result<(), RecordingError> {
         if self.source.array::<8>()? != *MAGIC {
             return Err(RecordingError::Unknown("the file is no MCAP of version 0".to_owned()));

@@ -50,7 +50,7 @@ pub struct Message<'a> {
     pub topic: usize,
     /// When it was recorded, nanoseconds since 1970.
     pub recorded_nanos: i64,
-    /// Its bytes.
+    /// The bytes of the message.
     pub data: &'a [u8],
 }
 
@@ -108,7 +108,7 @@ pub enum RecordingError {
     TooLarge {
         /// The part, and where it is.
         what: String,
-        /// Its length.
+        /// How many bytes the part has.
         bytes: u64,
         /// The limit.
         max: usize,

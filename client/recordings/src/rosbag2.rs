@@ -10,9 +10,13 @@ use std::{
 use crate::{
     chunk::cdr_bytes,
     recording::{Encoding, Ending, Message, RecordingError, Sink, Topic},
-    sqlite::{Database, Row, Table, row::Value},
+    sqlite::{Database, Table, TableRow, row::Value},
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
+
+/// End of the name of a file beside a database, in which the newest rows may stand. The reader does not see it: rows
+/// are missing if that file is there and not empty. `sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'` joins the two.
+pub const LOG_ENDING: &str = "-wal";
 
 /// Reads a database of rosbag2. Messages of topics that its table of topics lacks are passed over, as ROS 2 does.
 ///
@@ -68,7 +72,7 @@ fn read_definitions<R: Read + Seek>(
     let columns = ["topic_type", "encoding", "encoded_message_definition"].map(|name| table.column(name));
     let [Some(type_name), Some(encoding), Some(definition)] = columns else { return Ok(HashMap::new()) };
     let (mut definitions, mut bytes) = (HashMap::new(), 0_usize);
-    let (mut walk, mut row) = (database.walk(table), Row::default());
+    let (mut walk, mut row) = (database.walk(table), TableRow::default());
     while database.next(&mut walk, &mut row)? {
         check_definitions(usize::try_from(row.bytes_stated()).unwrap_or(usize::MAX))?;
         database.complete(&mut walk, &mut row)?;
@@ -95,7 +99,7 @@ fn read_topics<R: Read + Seek>(
         required_columns(table, "topics", ["id", "name", "type", "serialization_format"])?;
     let profiles = table.column("offered_qos_profiles");
     let mut topics = HashMap::new();
-    let (mut walk, mut row) = (database.walk(table), Row::default());
+    let (mut walk, mut row) = (database.walk(table), TableRow::default());
     while database.next(&mut walk, &mut row)? {
         check_definitions(usize::try_from(row.bytes_stated()).unwrap_or(usize::MAX))?;
         database.complete(&mut walk, &mut row)?;
@@ -126,7 +130,7 @@ fn read_messages<R: Read + Seek>(
     rows_read: &mut u64,
 ) -> Result<(), RecordingError> {
     let [topic_id, timestamp, data] = required_columns(table, "messages", ["topic_id", "timestamp", "data"])?;
-    let (mut walk, mut row, mut unpacked) = (database.walk(table), Row::default(), Vec::new());
+    let (mut walk, mut row, mut unpacked) = (database.walk(table), TableRow::default(), Vec::new());
     while database.next(&mut walk, &mut row)? {
         *rows_read = rows_read.saturating_add(1);
         // Usually the number of the topic stands before the data, so the data of others need not be read.
@@ -165,7 +169,7 @@ fn required_columns<const N: usize>(
     Ok(columns)
 }
 
-fn integer(row: &Row, table: &Table, column: usize, table_name: &str) -> Result<i64, RecordingError> {
+fn integer(row: &TableRow, table: &Table, column: usize, table_name: &str) -> Result<i64, RecordingError> {
     match row.value(column)? {
         Some(Value::Integer(number)) => Ok(number),
         Some(Value::Null) if table.row_number_column == Some(column) => Ok(row.number()),
@@ -174,14 +178,14 @@ fn integer(row: &Row, table: &Table, column: usize, table_name: &str) -> Result<
 }
 
 /// Text; empty for NULL and for what is no text.
-fn text(row: &Row, column: usize) -> Result<String, RecordingError> {
+fn text(row: &TableRow, column: usize) -> Result<String, RecordingError> {
     Ok(match row.value(column)? {
         Some(Value::Text(text) | Value::Bytes(text)) => String::from_utf8_lossy(text).into_owned(),
         _ => String::new(),
     })
 }
 
-fn unexpected(row: &Row, table_name: &str, column: &str, wanted: &str) -> RecordingError {
+fn unexpected(row: &TableRow, table_name: &str, column: &str, wanted: &str) -> RecordingError {
     let number = row.number();
     RecordingError::Broken(format!("row {number} of the table {table_name:?} has not {wanted} in its column {column}"))
 }

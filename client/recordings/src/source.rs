@@ -8,7 +8,7 @@ use std::io::{self, Read};
 const BUFFER_BYTES: usize = 64 << 10;
 
 /// Bytes in order, counted, with a look ahead.
-pub(crate) struct Source<R> {
+pub(crate) struct ByteSource<R> {
     inner: R,
     buffer: Box<[u8]>,
     start: usize,
@@ -16,7 +16,7 @@ pub(crate) struct Source<R> {
     position: u64,
 }
 
-impl<R: Read> Source<R> {
+impl<R: Read> ByteSource<R> {
     pub(crate) fn new(inner: R) -> Self {
         Self { inner, buffer: vec![0; BUFFER_BYTES].into_boxed_slice(), start: 0, end: 0, position: 0 }
     }
@@ -72,7 +72,7 @@ impl<R: Read> Source<R> {
     }
 }
 
-impl<R: Read> Read for Source<R> {
+impl<R: Read> Read for ByteSource<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let got = if self.start == self.end && into.len() >= BUFFER_BYTES {
             self.inner.read(into)?

@@ -15,7 +15,7 @@ use crate::recording::{MESSAGE_BYTES_MAX, RecordingError};
 pub(crate) mod row;
 mod statement;
 
-pub(crate) use self::row::Row;
+pub(crate) use self::row::TableRow;
 
 /// What an SQLite database begins with.
 pub(crate) const MAGIC: &[u8; 16] = b"SQLite format 3\0";
@@ -63,7 +63,7 @@ impl Table {
 }
 
 /// A place in a walk through a table.
-pub(crate) struct Walk {
+pub(crate) struct TableWalk {
     stack: Vec<Level>,
     /// The numbers of pages that are still to be entered, the next one last.
     pages_left: u64,
@@ -121,7 +121,7 @@ impl<R: Read + Seek> Database<R> {
 
     fn read_tables(&mut self) -> Result<(), RecordingError> {
         let schema = Table { name: String::new(), root: 1, columns: Vec::new(), row_number_column: None };
-        let (mut walk, mut row) = (self.walk(&schema), Row::default());
+        let (mut walk, mut row) = (self.walk(&schema), TableRow::default());
         while self.next(&mut walk, &mut row)? {
             if self.tables.len() == TABLES_MAX {
                 return Err(broken(format!("the database has more than {TABLES_MAX} tables")));
@@ -169,12 +169,12 @@ impl<R: Read + Seek> Database<R> {
     }
 
     /// Begins a walk through a table.
-    pub(crate) fn walk(&self, table: &Table) -> Walk {
-        Walk { stack: Vec::new(), pages_left: self.pages, next: Some(table.root) }
+    pub(crate) fn walk(&self, table: &Table) -> TableWalk {
+        TableWalk { stack: Vec::new(), pages_left: self.pages, next: Some(table.root) }
     }
 
     /// Goes to the next row; `false` behind the last. The row may lack its end, until [`Database::complete`].
-    pub(crate) fn next(&mut self, walk: &mut Walk, row: &mut Row) -> Result<bool, RecordingError> {
+    pub(crate) fn next(&mut self, walk: &mut TableWalk, row: &mut TableRow) -> Result<bool, RecordingError> {
         loop {
             if let Some(number) = walk.next.take() {
                 self.enter(walk, number)?;
@@ -201,7 +201,7 @@ impl<R: Read + Seek> Database<R> {
         }
     }
 
-    fn enter(&mut self, walk: &mut Walk, number: u32) -> Result<(), RecordingError> {
+    fn enter(&mut self, walk: &mut TableWalk, number: u32) -> Result<(), RecordingError> {
         if walk.stack.len() == DEPTH_MAX {
             return Err(broken(format!("a table of the database is deeper than {DEPTH_MAX} pages, at page {number}")));
         }
@@ -224,7 +224,7 @@ impl<R: Read + Seek> Database<R> {
     }
 
     /// Reads a page. A walk that asks for more pages than the file has goes in circles.
-    fn page(&mut self, walk: &mut Walk, number: u32, into: &mut Vec<u8>) -> Result<(), RecordingError> {
+    fn page(&mut self, walk: &mut TableWalk, number: u32, into: &mut Vec<u8>) -> Result<(), RecordingError> {
         if number == 0 || u64::from(number) > self.pages {
             let pages = self.pages;
             return Err(broken(format!("the database refers to page {number}; it has the pages 1 to {pages}")));
@@ -245,7 +245,7 @@ impl<R: Read + Seek> Database<R> {
     }
 
     /// Takes the part of a row that stands in its leaf.
-    fn usable_row(&self, level: &Level, start: usize, row: &mut Row) -> Result<(), RecordingError> {
+    fn usable_row(&self, level: &Level, start: usize, row: &mut TableRow) -> Result<(), RecordingError> {
         let beyond = || level.broken("has a cell beyond its end");
         let page = level.page.get(..self.usable_bytes).unwrap_or_default();
         let mut rest = page.get(start..).ok_or_else(beyond)?;
@@ -263,7 +263,7 @@ impl<R: Read + Seek> Database<R> {
     }
 
     /// Reads the end of a row, from the pages that it goes on in.
-    pub(crate) fn complete(&mut self, walk: &mut Walk, row: &mut Row) -> Result<(), RecordingError> {
+    pub(crate) fn complete(&mut self, walk: &mut TableWalk, row: &mut TableRow) -> Result<(), RecordingError> {
         let Some(missing) = row.missing().filter(|_| row.bytes_stated() <= ROW_BYTES_MAX as u64) else {
             let what = format!("row {} of a table of the database", row.number());
             return Err(RecordingError::TooLarge { what, bytes: row.bytes_stated(), max: ROW_BYTES_MAX });
@@ -302,13 +302,13 @@ impl Level {
 
 /// How many bytes of a row stand in its leaf: all of them, or as many as the format's formula says.
 fn local_bytes(length: u64, usable_bytes: usize) -> usize {
-    let most_bytes = usable_bytes - 35;
-    let Some(length) = usize::try_from(length).ok().filter(|length| *length > most_bytes) else {
+    let local_max = usable_bytes - 35;
+    let Some(length) = usize::try_from(length).ok().filter(|length| *length > local_max) else {
         return usize::try_from(length).unwrap_or(0);
     };
-    let least_bytes = (usable_bytes - 12) * 32 / 255 - 23;
-    let local = least_bytes + (length - least_bytes) % (usable_bytes - 4);
-    if local <= most_bytes { local } else { least_bytes }
+    let local_min = (usable_bytes - 12) * 32 / 255 - 23;
+    let local = local_min + (length - local_min) % (usable_bytes - 4);
+    if local <= local_max { local } else { local_min }
 }
 
 /// Four bytes at `start`, the high byte first; 0 where they are not all there.

@@ -6,7 +6,7 @@ use crate::recording::{Ending, Message, RecordingError, Sink, Stopped, Topic};
 
 /// Keeps all that it is given.
 #[derive(Default)]
-pub(crate) struct Recorder {
+pub(crate) struct KeptMessages {
     pub(crate) topics: Vec<Topic>,
     /// Index of the topic, time and bytes of each message.
     pub(crate) messages: Vec<(usize, i64, Vec<u8>)>,
@@ -17,7 +17,7 @@ pub(crate) struct Recorder {
     pub(crate) position: u64,
 }
 
-impl Sink for Recorder {
+impl Sink for KeptMessages {
     fn topic(&mut self, topic: &Topic) -> bool {
         self.topics.push(topic.clone());
         !self.unwanted.contains(&topic.name.as_str())
@@ -33,7 +33,7 @@ impl Sink for Recorder {
 }
 
 /// Checks what holds for any cut: an ending that says so, and a prefix of the messages.
-pub(crate) fn check_cut(whole: &Recorder, cut: &Recorder, ending: &Result<Ending, RecordingError>) {
+pub(crate) fn check_cut(whole: &KeptMessages, cut: &KeptMessages, ending: &Result<Ending, RecordingError>) {
     assert!(matches!(ending, Ok(Ending::CutOff(_))), "{ending:?}");
     assert!(whole.messages.starts_with(&cut.messages), "{} messages are no prefix", cut.messages.len());
 }

@@ -9,7 +9,7 @@ use ruzstd::decoding::{
     errors::{FrameDecoderError, ReadFrameHeaderError},
 };
 
-use crate::source::Source;
+use crate::source::ByteSource;
 
 /// Maximum number of bytes that a frame may refer back to.
 pub const WINDOW_BYTES_MAX: u64 = 32 << 20;
@@ -19,7 +19,7 @@ pub const WINDOW_BYTES_MAX: u64 = 32 << 20;
 /// A source that ends within a frame gives [`io::ErrorKind::UnexpectedEof`], bytes that are not zstd
 /// [`io::ErrorKind::InvalidData`].
 pub struct ZstdStream<R> {
-    source: Source<R>,
+    source: ByteSource<R>,
     decoder: FrameDecoder,
     is_in_frame: bool,
 }
@@ -29,7 +29,7 @@ impl<R: Read> ZstdStream<R> {
     pub fn new(source: R) -> Self {
         let mut decoder = FrameDecoder::new();
         decoder.set_max_window_size(WINDOW_BYTES_MAX);
-        Self { source: Source::new(source), decoder, is_in_frame: false }
+        Self { source: ByteSource::new(source), decoder, is_in_frame: false }
     }
 
     fn begin_frame(&mut self) -> io::Result<()> {

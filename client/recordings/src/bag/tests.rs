@@ -7,10 +7,10 @@ use std::io::Write;
 use proptest::prelude::*;
 
 use super::*;
-use crate::testing::{Recorder, check_cut};
+use crate::testing::{KeptMessages, check_cut};
 
 /// Chunks of messages: connection, seconds and nanoseconds, bytes.
-type Chunks = Vec<Vec<(u32, (u32, u32), Vec<u8>)>>;
+pub(crate) type Chunks = Vec<Vec<(u32, (u32, u32), Vec<u8>)>>;
 
 pub(crate) struct BagWriter {
     pub(crate) compression: &'static str,
@@ -140,61 +140,67 @@ fn some_chunks() -> Chunks {
     ]
 }
 
-fn recorded(bytes: &[u8]) -> (Recorder, Result<Ending, RecordingError>) {
-    let mut recorder = Recorder::default();
-    let ending = read(bytes, &mut recorder);
-    (recorder, ending)
+fn recorded(bytes: &[u8]) -> (KeptMessages, Result<Ending, RecordingError>) {
+    let mut kept = KeptMessages::default();
+    let ending = read(bytes, &mut kept);
+    (kept, ending)
 }
 
 #[test]
 fn topics_and_messages_come_in_the_order_of_the_file() {
     for compression in ["none", "bz2", "lz4"] {
-        let (recorder, ending) = recorded(&BagWriter { compression, ..BagWriter::default() }.write(&some_chunks()));
+        let (kept, ending) = recorded(&BagWriter { compression, ..BagWriter::default() }.write(&some_chunks()));
         assert_eq!(ending.unwrap(), Ending::Whole, "{compression}");
-        let names: Vec<&str> = recorder.topics.iter().map(|topic| topic.name.as_str()).collect();
+        let names: Vec<&str> = kept.topics.iter().map(|topic| topic.name.as_str()).collect();
         assert_eq!(names, ["/topic_0", "/topic_1", "/topic_7"]);
-        let latched: Vec<bool> = recorder.topics.iter().map(|topic| topic.is_latched).collect();
+        let latched: Vec<bool> = kept.topics.iter().map(|topic| topic.is_latched).collect();
         assert_eq!(latched, [false, true, false]);
-        assert_eq!(recorder.topics[0].type_name, "std_msgs/Bool");
-        assert_eq!(recorder.topics[0].definition, "bool data");
-        assert_eq!(recorder.topics[0].encoding, Encoding::Ros1);
-        let times: Vec<(usize, i64)> = recorder.messages.iter().map(|message| (message.0, message.1)).collect();
+        assert_eq!(kept.topics[0].type_name, "std_msgs/Bool");
+        assert_eq!(kept.topics[0].definition, "bool data");
+        assert_eq!(kept.topics[0].encoding, Encoding::Ros1);
+        let times: Vec<(usize, i64)> = kept.messages.iter().map(|message| (message.0, message.1)).collect();
         let secs = |secs: i64| secs * SECOND_NANOS;
         let wanted = [(0, secs(10) + 5), (1, secs(10) + 6), (0, secs(11)), (1, secs(13) - 1), (2, secs(13))];
         assert_eq!(times, [&wanted[..], &[(0, secs(14))]].concat());
-        assert_eq!(recorder.messages[3].2, [9, 9]);
+        assert_eq!(kept.messages[3].2, [9, 9]);
     }
 }
 
 #[test]
 fn an_index_whose_length_is_wrong_is_passed_over() {
     for entry_bytes in [8, 16, 20] {
-        let (recorder, ending) = recorded(&BagWriter { entry_bytes, ..BagWriter::default() }.write(&some_chunks()));
+        let (kept, ending) = recorded(&BagWriter { entry_bytes, ..BagWriter::default() }.write(&some_chunks()));
         assert_eq!(ending.unwrap(), Ending::Whole, "{entry_bytes}");
-        assert_eq!(recorder.messages.len(), 6, "{entry_bytes}");
+        assert_eq!(kept.messages.len(), 6, "{entry_bytes}");
     }
 }
 
 #[test]
 fn a_bag_that_was_not_closed_gives_all_its_messages() {
-    let (recorder, ending) = recorded(&BagWriter { is_closed: false, ..BagWriter::default() }.write(&some_chunks()));
+    let (kept, ending) = recorded(&BagWriter { is_closed: false, ..BagWriter::default() }.write(&some_chunks()));
     assert!(matches!(ending.unwrap(), Ending::CutOff(text) if text.contains("did not close")));
-    assert_eq!(recorder.messages.len(), 6);
+    assert_eq!(kept.messages.len(), 6);
 }
 
 #[test]
 fn messages_that_are_not_wanted_are_passed_over() {
-    let mut recorder = Recorder { unwanted: vec!["/topic_0"], ..Recorder::default() };
-    read(&BagWriter::default().write(&some_chunks())[..], &mut recorder).unwrap();
-    assert_eq!(recorder.messages.iter().map(|message| message.0).collect::<Vec<_>>(), [1, 1, 2]);
+    let mut kept = KeptMessages { unwanted: vec!["/topic_0"], ..KeptMessages::default() };
+    read(&BagWriter::default().write(&some_chunks())[..], &mut kept).unwrap();
+    assert_eq!(kept.messages.iter().map(|message| message.0).collect::<Vec<_>>(), [1, 1, 2]);
 }
 
 #[test]
 fn the_sink_can_stop_the_reading() {
-    let mut recorder = Recorder { stop_at: Some(2), ..Recorder::default() };
-    let ending = read(&BagWriter::default().write(&some_chunks())[..], &mut recorder);
+    let mut kept = KeptMessages { stop_at: Some(2), ..KeptMessages::default() };
+    let ending = read(&BagWriter::default().write(&some_chunks())[..], &mut kept);
     assert!(matches!(ending, Err(RecordingError::Stopped)));
-    assert_eq!(recorder.messages.len(), 2);
+    assert_eq!(kept.messages.len(), 2);
+}
+
+#[test]
+fn another_version_is_named() {
+    let error = recorded(b"#ROSRECORD V1.2\n\x04\x00\x00\x00").1.unwrap_err().to_string();
+    assert!(error.contains("format ROSRECORD V1.2;") && error.contains("rosbag fix"), "{error}");
 }
 
 #[test]
@@ -245,13 +251,13 @@ proptest! {
         let mut bytes = BagWriter { compression, ..BagWriter::default() }.write(&some_chunks());
         let place = place % bytes.len();
         bytes[place] ^= with;
-        let (recorder, _) = recorded(&bytes);
-        prop_assert!(recorder.messages.len() <= 6);
+        let (kept, _) = recorded(&bytes);
+        prop_assert!(kept.messages.len() <= 6);
     }
 
     #[test]
     fn any_bytes_behind_the_magic_do_no_harm(rest in proptest::collection::vec(any::<u8>(), 0..300)) {
-        let (recorder, _) = recorded(&[&MAGIC[..], &rest].concat());
-        prop_assert!(recorder.messages.is_empty());
+        let (kept, _) = recorded(&[&MAGIC[..], &rest].concat());
+        prop_assert!(kept.messages.is_empty());
     }
 }

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::*;
-use crate::testing::{Recorder, check_cut};
+use crate::testing::{KeptMessages, check_cut};
 
 const PROFILES: &str = "- history: 1\n  durability: 1\n";
 
@@ -32,10 +32,10 @@ fn some_file(has_chunks: bool) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-fn recorded(bytes: &[u8]) -> (Recorder, Result<Ending, RecordingError>) {
-    let mut recorder = Recorder::default();
-    let ending = read(bytes, &mut recorder);
-    (recorder, ending)
+fn recorded(bytes: &[u8]) -> (KeptMessages, Result<Ending, RecordingError>) {
+    let mut kept = KeptMessages::default();
+    let ending = read(bytes, &mut kept);
+    (kept, ending)
 }
 
 fn record(op: u8, parts: &[&[u8]]) -> Vec<u8> {
@@ -74,9 +74,9 @@ fn file(records: &[Vec<u8>]) -> Vec<u8> {
 #[test]
 fn topics_and_messages_come_in_the_order_of_the_file() {
     for has_chunks in [false, true] {
-        let (recorder, ending) = recorded(&some_file(has_chunks));
+        let (kept, ending) = recorded(&some_file(has_chunks));
         assert_eq!(ending.unwrap(), Ending::Whole);
-        let mut topics = recorder.topics.clone();
+        let mut topics = kept.topics.clone();
         topics.sort_by(|one, other| one.name.cmp(&other.name));
         let door = Topic {
             name: "/door".to_owned(),
@@ -93,20 +93,27 @@ fn topics_and_messages_come_in_the_order_of_the_file() {
             is_latched: false,
         };
         assert_eq!(topics, [door, other]);
-        for (index, (topic, time, data)) in recorder.messages.iter().enumerate() {
+        for (index, (topic, time, data)) in kept.messages.iter().enumerate() {
             let name = if index % 3 == 0 { "/other" } else { "/door" };
-            assert_eq!(recorder.topics[*topic].name, name);
+            assert_eq!(kept.topics[*topic].name, name);
             assert_eq!((*time, usize::from(data[4])), (1000 + index as i64, index));
         }
-        assert_eq!(recorder.messages.len(), 10);
+        assert_eq!(kept.messages.len(), 10);
     }
 }
 
 #[test]
 fn messages_that_are_not_wanted_are_passed_over() {
-    let mut recorder = Recorder { unwanted: vec!["/other"], ..Recorder::default() };
-    read(&some_file(true)[..], &mut recorder).unwrap();
-    assert_eq!(recorder.messages.len(), 6);
+    let mut kept = KeptMessages { unwanted: vec!["/other"], ..KeptMessages::default() };
+    read(&some_file(true)[..], &mut kept).unwrap();
+    assert_eq!(kept.messages.len(), 6);
+}
+
+#[test]
+fn the_sink_can_stop_the_reading() {
+    let mut kept = KeptMessages { stop_at: Some(2), ..KeptMessages::default() };
+    assert!(matches!(read(&some_file(true)[..], &mut kept), Err(RecordingError::Stopped)));
+    assert_eq!(kept.messages.len(), 2);
 }
 
 #[test]
@@ -114,9 +121,9 @@ fn chunks_and_messages_are_decompressed() {
     let data = [0, 1, 0, 0, 7];
     let packed = compress_to_vec(&data[..], CompressionLevel::Fastest);
     let plain = [channel(1, "/door", "cdr"), message(1, 5, &packed), message(1, 6, &data)].concat();
-    let (recorder, ending) = recorded(&file(&[chunk("zstd", &plain, crc32fast::hash(&plain))]));
+    let (kept, ending) = recorded(&file(&[chunk("zstd", &plain, crc32fast::hash(&plain))]));
     assert_eq!(ending.unwrap(), Ending::Whole);
-    assert_eq!(recorder.messages, [(0, 5, data.to_vec()), (0, 6, data.to_vec())]);
+    assert_eq!(kept.messages, [(0, 5, data.to_vec()), (0, 6, data.to_vec())]);
 }
 
 #[test]
@@ -178,7 +185,7 @@ proptest! {
 
     #[test]
     fn any_bytes_behind_the_magic_do_no_harm(rest in proptest::collection::vec(any::<u8>(), 0..300)) {
-        let (recorder, _) = recorded(&[&MAGIC[..], &rest].concat());
-        prop_assert!(recorder.messages.is_empty());
+        let (kept, _) = recorded(&[&MAGIC[..], &rest].concat());
+        prop_assert!(kept.messages.is_empty());
     }
 }

@@ -10,7 +10,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use super::*;
 use crate::{
     sqlite::tests::{Cell, DatabaseWriter, Rows, text},
-    testing::{Recorder, check_cut},
+    testing::{KeptMessages, check_cut},
 };
 
 const TOPICS: &str = "id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL, \
@@ -46,15 +46,15 @@ fn some_database() -> DatabaseWriter {
     writer
 }
 
-fn recorded(bytes: &[u8]) -> (Recorder, Result<Ending, RecordingError>) {
-    let mut recorder = Recorder::default();
-    let ending = read(Cursor::new(bytes), &mut recorder);
-    (recorder, ending)
+fn recorded(bytes: &[u8]) -> (KeptMessages, Result<Ending, RecordingError>) {
+    let mut kept = KeptMessages::default();
+    let ending = read(Cursor::new(bytes), &mut kept);
+    (kept, ending)
 }
 
 #[test]
 fn topics_and_messages_come_in_the_order_of_the_tables() {
-    let (recorder, ending) = recorded(&some_database().finish());
+    let (kept, ending) = recorded(&some_database().finish());
     assert_eq!(ending.unwrap(), Ending::Whole);
     let door = Topic {
         name: "/door".to_owned(),
@@ -63,10 +63,10 @@ fn topics_and_messages_come_in_the_order_of_the_tables() {
         definition: String::new(),
         is_latched: true,
     };
-    assert_eq!(recorder.topics[0], door);
-    assert_eq!((recorder.topics[1].name.as_str(), recorder.topics[1].is_latched), ("/scan", false));
-    assert_eq!(recorder.messages.len(), 30);
-    for (index, (topic, time, data)) in recorder.messages.iter().enumerate() {
+    assert_eq!(kept.topics[0], door);
+    assert_eq!((kept.topics[1].name.as_str(), kept.topics[1].is_latched), ("/scan", false));
+    assert_eq!(kept.messages.len(), 30);
+    for (index, (topic, time, data)) in kept.messages.iter().enumerate() {
         assert_eq!(*topic, usize::from(index % 3 == 0));
         assert_eq!((*time, data.len()), ((1 << 60) + index as i64, 5 + 60 * index));
     }
@@ -79,9 +79,16 @@ fn messages_that_are_not_wanted_or_of_no_topic_are_passed_over() {
     let mut writer = DatabaseWriter::new();
     writer.table("topics", TOPICS, &some_topics());
     writer.table("messages", MESSAGES, &messages);
-    let mut recorder = Recorder { unwanted: vec!["/door"], ..Recorder::default() };
-    assert_eq!(read(Cursor::new(writer.finish()), &mut recorder).unwrap(), Ending::Whole);
-    assert_eq!(recorder.messages.len(), 10);
+    let mut kept = KeptMessages { unwanted: vec!["/door"], ..KeptMessages::default() };
+    assert_eq!(read(Cursor::new(writer.finish()), &mut kept).unwrap(), Ending::Whole);
+    assert_eq!(kept.messages.len(), 10);
+}
+
+#[test]
+fn the_sink_can_stop_the_reading() {
+    let mut kept = KeptMessages { stop_at: Some(2), ..KeptMessages::default() };
+    assert!(matches!(read(Cursor::new(some_database().finish()), &mut kept), Err(RecordingError::Stopped)));
+    assert_eq!(kept.messages.len(), 2);
 }
 
 #[test]
@@ -95,11 +102,11 @@ fn columns_are_found_by_their_names_and_definitions_by_their_types() {
     writer.table("topics", "serialization_format TEXT, type TEXT, name TEXT, id INTEGER", &vec![(1, row)]);
     let row = vec![Cell::Bytes(vec![9; 2000]), Cell::Integer(5), Cell::Integer(8)];
     writer.table("messages", "data BLOB, timestamp INTEGER, topic_id INTEGER", &vec![(1, row)]);
-    let (recorder, ending) = recorded(&writer.finish());
+    let (kept, ending) = recorded(&writer.finish());
     assert_eq!(ending.unwrap(), Ending::Whole);
-    assert_eq!(recorder.topics[0].definition, "bool data");
-    assert_eq!(recorder.topics[0].encoding, Encoding::Other("json".to_owned()));
-    assert_eq!(recorder.messages, [(0, 5, vec![9; 2000])]);
+    assert_eq!(kept.topics[0].definition, "bool data");
+    assert_eq!(kept.topics[0].encoding, Encoding::Other("json".to_owned()));
+    assert_eq!(kept.messages, [(0, 5, vec![9; 2000])]);
 }
 
 #[test]
@@ -109,8 +116,8 @@ fn compressed_messages_are_decompressed() {
     writer.table("topics", TOPICS, &some_topics());
     let packed = compress_to_vec(&data[..], CompressionLevel::Fastest);
     writer.table("messages", MESSAGES, &vec![message(1, 1, 5, packed), message(2, 1, 6, vec![0x28, 0xb5, 0x2f, 0xfd])]);
-    let (recorder, ending) = recorded(&writer.finish());
-    assert_eq!(recorder.messages, [(0, 5, data.to_vec())]);
+    let (kept, ending) = recorded(&writer.finish());
+    assert_eq!(kept.messages, [(0, 5, data.to_vec())]);
     let error = ending.unwrap_err().to_string();
     assert!(error.starts_with("the message in row 2 of the table \"messages\""), "{error}");
 }
@@ -150,7 +157,7 @@ proptest! {
             let place = place % bytes.len();
             bytes[place] = value;
         }
-        let (recorder, _) = recorded(&bytes);
-        prop_assert!(recorder.messages.iter().map(|message| message.2.len()).sum::<usize>() <= bytes.len());
+        let (kept, _) = recorded(&bytes);
+        prop_assert!(kept.messages.iter().map(|message| message.2.len()).sum::<usize>() <= bytes.len());
     }
 }

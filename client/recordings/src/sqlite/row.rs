@@ -21,14 +21,14 @@ pub(crate) enum Value<'a> {
 
 /// A row. Its memory serves the next row too.
 #[derive(Default)]
-pub(crate) struct Row {
+pub(crate) struct TableRow {
     number: i64,
     bytes: Vec<u8>,
     stated: u64,
     overflow: u32,
 }
 
-impl Row {
+impl TableRow {
     pub(super) fn begin(&mut self, number: i64, bytes: &[u8], stated: u64, overflow: u32) {
         self.bytes.clear();
         self.bytes.extend_from_slice(bytes);
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_column_added_later_is_null_and_a_kept_kind_is_broken() {
-        let mut row = Row::default();
+        let mut row = TableRow::default();
         row.begin(3, &[2, 1, 77], 3, 0);
         assert_eq!(row.value(0).unwrap(), Some(Value::Integer(77)));
         assert_eq!(row.value(1).unwrap(), Some(Value::Null));
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn a_value_whose_end_is_elsewhere_is_not_given() {
-        let mut row = Row::default();
+        let mut row = TableRow::default();
         row.begin(1, &[3, 1, 24, 7, b'a', b'b'], 10, 9);
         assert_eq!(row.value(0).unwrap(), Some(Value::Integer(7)));
         assert_eq!(row.value(1).unwrap(), None);
