@@ -2,7 +2,7 @@
 //!
 //! Invariant: a layout is finite: no type contains itself, and the number of fields is bounded.
 
-use std::{collections::HashMap, rc::Rc};
+use std::{collections::HashMap, sync::Arc};
 
 use crate::{
     built_in,
@@ -116,6 +116,7 @@ mod tests {
         let layout = of_type(
             "a_msgs/Own",
             "std_msgs/Header header\nInner inner\n====================\nMSG: a_msgs/Inner\nint8 x",
+            &Encoding::Cdr,
         )?;
         assert_eq!(layout.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>(), ["header", "inner"]);
         let missing = of_type("a_msgs/Own", "Inner inner", &Encoding::Cdr);
