@@ -21,6 +21,7 @@ mod floods;
 mod flows;
 mod grid;
 mod history_size;
+mod imports;
 mod json_output;
 mod kinds;
 mod landmarks;

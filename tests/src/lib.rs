@@ -5,6 +5,7 @@
 //! a daemon should give are computed without it.
 
 pub mod answers;
+pub mod bag;
 pub mod binaries;
 pub mod certificates;
 pub mod cli;

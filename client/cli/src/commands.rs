@@ -16,6 +16,7 @@ mod experiment;
 mod files;
 mod grid;
 mod help;
+mod import;
 mod info;
 mod job;
 mod landmark;
@@ -150,7 +151,7 @@ pub(crate) fn ask_for_json(arguments: &[String]) -> bool {
 }
 
 /// Commands that show no times; they do not ask for the map's zone.
-const TIMELESS: [&str; 5] = ["classify", "observe", "traverse", "update", "visit"];
+const TIMELESS: [&str; 6] = ["classify", "import", "observe", "traverse", "update", "visit"];
 
 fn subject(matches: &ArgMatches) -> Subject {
     let mut matches = matches;
@@ -198,6 +199,14 @@ enum Command {
     /// Rows are cells of space, given by their centres, the most probable first. The expected position and the
     /// probability outside of the region go to stderr. The state is a vector, observed with columns x and y.
     Position(position::PositionArgs),
+    /// Makes observations of the recordings of robots: MCAP, bags of ROS 1, rosbag2
+    ///
+    /// Scans, clouds and occupancy grids become observations of the grid, placed by the transforms of the recording;
+    /// doors and booleans become states, poses and people positions, statistics of navigation traversals. --list shows
+    /// what is in a recording; --mapping makes states of any other topics. The map is created if it does not exist. Each
+    /// observation is sent exactly once: the same command again continues where it stopped. The exit status is 0 only
+    /// if nothing was refused.
+    Import(Box<import::ImportArgs>),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
     Grid(grid::GridCommand),
@@ -429,6 +438,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
     match line.command {
         Command::Map(command) => map::run(&session, command).await,
         Command::State(command) => state::run(&session, command).await,
+        Command::Import(args) => import::run(&session, *args).await,
         Command::Observe(args) => observe::run(&session, args).await,
         Command::Update(args) => update::run(&session, &args).await,
         Command::Classify(args) => classify::run(&session, args).await,

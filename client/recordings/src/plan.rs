@@ -84,6 +84,19 @@ pub struct Plan {
     pub choice: FrameChoice,
 }
 
+impl Plan {
+    /// Whether the scans and grids of the recording lie level, so that a flat grid can take them: there are no clouds,
+    /// and no sensor leans.
+    pub fn is_level(&self, surveyed: &Surveyed) -> bool {
+        let mut grids = surveyed.topics.iter().zip(&self.topics).filter_map(|(topic, plan)| Some((topic, plan.grid?)));
+        grids.all(|(topic, grid)| match grid {
+            GridUse::Grids | GridUse::GridChanges(_) => true,
+            GridUse::Clouds => false,
+            GridUse::Scans => frame::is_level(surveyed, topic, self.frame.as_deref()),
+        })
+    }
+}
+
 /// Why no plan can be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {

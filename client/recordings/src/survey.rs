@@ -133,9 +133,8 @@ impl std::fmt::Debug for Watch {
 
 impl Survey {
     /// Watches how many bytes of the current file have been read.
-    pub fn watched(mut self, watch: impl FnMut(u64) + 'static) -> Self {
+    pub fn watch(&mut self, watch: impl FnMut(u64) + 'static) {
         self.watch = Some(Watch(Box::new(watch)));
-        self
     }
 
     /// Begins the next file of the recording.

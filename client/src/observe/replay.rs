@@ -58,8 +58,7 @@ impl Replay {
 
     /// The next observation, of a position. One whose coordinates are not two or three is none.
     pub fn position(&mut self, state: &str, time_nanos: i64, coordinates: &[f64]) {
-        let number =
-            Position::of(coordinates).and_then(|position| self.0.push_position(state, time_nanos, position));
+        let number = Position::of(coordinates).and_then(|position| self.0.push_position(state, time_nanos, position));
         number.into_iter().for_each(|number| self.follow(number));
     }
 

@@ -2,14 +2,14 @@
 //!
 //! Invariant: the ending of a file's name determines its format; the content is never guessed.
 
-mod cell_masks;
+pub(super) mod cell_masks;
 mod changed;
 mod file_times;
 mod observe;
 pub(super) mod place;
 pub(crate) mod predict;
 mod scans;
-mod sensor;
+pub(super) mod sensor;
 
 use std::process::ExitCode;
 

@@ -10,7 +10,7 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 8] = [
     ("Try it", &["demo", "sample", "open"]),
     ("Make maps", &["map", "state", "location"]),
-    ("Send what robots see and do", &["observe", "grid", "traverse", "visit"]),
+    ("Send what robots see and do", &["import", "observe", "grid", "traverse", "visit"]),
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "classify", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
@@ -34,6 +34,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("location list", "tidemap location list office"),
     ("location delete", "tidemap location delete office pantry"),
     ("observe", "tidemap observe office monday.csv --producer robot-1 --refused wrong.csv"),
+    ("import", "tidemap import office monday.bag --list"),
     ("grid observe", "tidemap grid observe office scan.pcd --at 2025-03-18T10:00:00Z --pose 0,0,0.5,0,0,0,1"),
     ("grid predict", "tidemap grid predict office --at 2025-03-18T10:00:00Z --z 0.1:1.8 --picture ten.png"),
     ("grid changed", "tidemap grid changed office --region=-5:5,0:8 --z 0.1:1.8"),

@@ -2,6 +2,8 @@
 //!
 //! Invariant: the frame is one that a transform or a message names.
 
+use nalgebra::Vector3;
+
 use super::{GridUse, PlanError, TopicPlan};
 use crate::survey::{Surveyed, TopicSurvey};
 
@@ -20,6 +22,10 @@ pub enum FrameChoice {
     #[default]
     None,
 }
+
+/// At how many times sensors are looked at, and the cosine of the angle from which on they lean, 5 degrees.
+const LOOKS: u32 = 50;
+const LEVEL_COSINE: f64 = 0.996_2;
 
 /// Names of frames that do not move, the best first.
 const USUAL: [&str; 2] = ["map", "odom"];
@@ -64,6 +70,20 @@ pub(super) fn choose(
             (chain.last().map(|root| (*root).to_owned()), FrameChoice::OfMessages)
         }
         None => (None, FrameChoice::None),
+    })
+}
+
+/// Whether the z axis of a sensor points up at some times spread over its messages. Times without a transform do not
+/// count.
+pub(super) fn is_level(surveyed: &Surveyed, topic: &TopicSurvey, frame: Option<&str>) -> bool {
+    let (Some(frame), Some(stamps)) = (frame, topic.stamps) else { return true };
+    let length = i128::from(stamps.last_nanos) - i128::from(stamps.first_nanos);
+    (0..=LOOKS).all(|look| {
+        let elapsed = length * i128::from(look) / i128::from(LOOKS);
+        let time_nanos = stamps.first_nanos.saturating_add(i64::try_from(elapsed).unwrap_or(i64::MAX));
+        let pose = surveyed.frames.pose(&topic.frame, frame, time_nanos);
+        // A scanner that hangs upside down is level, too.
+        pose.map_or(true, |pose| (pose.rotation * Vector3::z()).z.abs() > LEVEL_COSINE)
     })
 }
 

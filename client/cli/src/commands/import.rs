@@ -1,0 +1,186 @@
+//! `tidemap import`: recordings of robots become observations of a map.
+//!
+//! Invariant: the number of an observation among those of the recordings is its sequence number, so the same command
+//! can run any number of times, and what the daemon has is compared and not sent again. Nothing is sent before all
+//! files were read once and the plan stands.
+
+mod counts;
+mod feed;
+mod files;
+mod grid;
+mod list;
+mod prepare;
+mod transfer;
+
+use std::{path::PathBuf, process::ExitCode, sync::Arc};
+
+use anyhow::Context as _;
+use clap::Args;
+use tidemap_client::observe::{ProducerOptions, ProducerSensor};
+use tidemap_recordings::{
+    convert::Clock,
+    mapping::Mapping,
+    plan::{Plan, Wishes, plan},
+    survey::Surveyed,
+};
+
+use self::{counts::TopicCounts, files::Recording, prepare::Prepared, transfer::ImportTransfer};
+use super::{
+    Session,
+    grid::sensor,
+    map::grid_spec::GridArg,
+    observe::{SenderArgs, base_name, exit_code, free_label, open_stream, run_transfer, transfer::TransferEnd},
+    usage,
+};
+use crate::{
+    commands::observe::feed::RefusalReport,
+    progress::{Bar, status_line},
+};
+
+#[derive(Debug, Args)]
+pub(crate) struct ImportArgs {
+    /// Name of the map; it is created if it does not exist
+    map: String,
+    /// Recordings: MCAP, bags of ROS 1, databases of rosbag2, or folders of rosbag2; several are read one after the
+    /// other
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// What to make of topics, in addition to or instead of the usual: a YAML file
+    #[arg(long, value_name = "FILE")]
+    mapping: Option<PathBuf>,
+    /// Shows what is in the recordings and what would be made of it, and sends nothing; needs no daemon
+    #[arg(long)]
+    list: bool,
+    /// Topics to take, such as /scan,/door [default: all of which something can be made]
+    #[arg(long, value_name = "TOPIC,…", value_delimiter = ',')]
+    topics: Vec<String>,
+    /// Frame in which everything is placed [default: map, else odom, else the root above the sensors]
+    #[arg(long, value_name = "FRAME")]
+    frame: Option<String>,
+    /// Clock that gives the times: that of the robot, which stamps messages, or that of the recorder
+    #[arg(long, value_name = "CLOCK", default_value = "stamps")]
+    times: ClockArg,
+    /// Grid of a new map, as for map create --grid [default: resolution=0.1, flat if all sensors are level]
+    #[arg(long, value_name = "SPEC")]
+    grid: Option<GridArg>,
+    /// Time zone of a new map, for example Europe/London [default: UTC]
+    #[arg(long, value_name = "IANA")]
+    time_zone: Option<String>,
+    /// Beyond this range a reading only says that the space up to it is free [default: that of the sensor, at most 100]
+    #[arg(long, value_name = "METRES", value_parser = grid::range)]
+    max_range: Option<f32>,
+    /// Nearer points of clouds are left out, such as points of the robot itself [default: 0]
+    #[arg(long, value_name = "METRES", value_parser = grid::range)]
+    min_range: Option<f32>,
+    /// Casts a ray to each point of a cloud; by default one to each cell in which points lie
+    #[arg(long)]
+    every_point: bool,
+    #[command(flatten)]
+    sender: SenderArgs,
+    /// Noise of the sensors, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
+    /// occupied | is free) [default: 0]
+    #[arg(long, value_name = "hit=P,false-alarm=P", value_parser = sensor::sensor)]
+    sensor: Option<ProducerSensor>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ClockArg {
+    /// The clock of the robot
+    Stamps,
+    /// The clock of the recorder
+    Recorder,
+}
+
+impl From<ClockArg> for Clock {
+    fn from(clock: ClockArg) -> Self {
+        match clock {
+            ClockArg::Stamps => Self::Stamps,
+            ClockArg::Recorder => Self::Recorder,
+        }
+    }
+}
+
+/// What was found in the recordings, and what is made of it.
+struct Planned {
+    recording: Recording,
+    surveyed: Arc<Surveyed>,
+    plan: Arc<Plan>,
+    /// Whether the times are those of the recorder.
+    by_recorder: bool,
+}
+
+pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<ExitCode> {
+    let planned = planned(&args).await?;
+    if args.list {
+        list::print(session, &planned)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    list::tell(&planned);
+    if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
+        list::print(session, &planned)?;
+        status_line("nothing can be made of these recordings: --mapping says what to make of other topics");
+        return Ok(ExitCode::FAILURE);
+    }
+    send(session, args, planned).await
+}
+
+/// Reads the recordings once, and makes the plan.
+async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
+    let mapping = match &args.mapping {
+        None => Mapping::default(),
+        Some(file) => {
+            let shown = || file.display().to_string();
+            let text = std::fs::read_to_string(file).with_context(shown)?;
+            Mapping::read(&text).with_context(shown)?
+        }
+    };
+    let recording = Recording::open(&args.files)?;
+    let bar = Bar::bytes(Some(recording.bytes()));
+    let reading = (recording.clone(), bar.clone());
+    let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1)).await;
+    bar.clear();
+    let surveyed = survey.context("the thread that reads")??;
+    let wishes = Wishes { mapping, topics: args.topics.clone(), frame: args.frame.clone() };
+    let plan = plan(&surveyed, &wishes).map_err(|error| usage(error.to_string()))?;
+    let by_recorder = args.times == ClockArg::Recorder;
+    Ok(Planned { recording, surveyed: Arc::new(surveyed), plan: Arc::new(plan), by_recorder })
+}
+
+async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::Result<ExitCode> {
+    let first = args.files.first().map(|file| base_name(file)).unwrap_or_default();
+    let label = format!("import/{first}");
+    let options = ProducerOptions { sensor: args.sensor, ..args.sender.options(&args.map, &label)? };
+    let prepared = Prepared::map(session, &args, &planned).await?;
+    let bar = Bar::bytes(Some(planned.recording.bytes()));
+    let chunks = feed::open(&planned, &prepared, &args)?;
+    let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
+    let report = RefusalReport::new(bar.clone(), "observation", "is refused");
+    let counts = TopicCounts::new(&planned.surveyed);
+    let mut transfer = ImportTransfer::new(
+        (producer, notices),
+        (chunks, prepared.states, planned.plan.clone()),
+        (report, counts),
+        bar.clone(),
+    );
+    let end = run_transfer(session, &mut transfer, &options, &bar, "observations").await?;
+    transfer.conclude();
+    let differs = matches!(end, TransferEnd::Differs(_));
+    if !differs {
+        list::print_counts(session, &planned, transfer.counts())?;
+    }
+    transfer.counts().tell(&planned.surveyed);
+    if matches!(end, TransferEnd::Stopped(_) | TransferEnd::Interrupted) {
+        status_line("the same command again sends what is missing");
+    }
+    let what_to_do = if differs {
+        format!(
+            "A changed mapping, frame or map makes other observations, which need another label, such as --label {}",
+            free_label(session, &options).await
+        )
+    } else {
+        String::new()
+    };
+    let shown = args.files.first().map(|file| file.display().to_string()).unwrap_or_default();
+    let code = exit_code(end, &transfer.report, &options, &shown, &what_to_do)?;
+    Ok(if code == ExitCode::SUCCESS && transfer.counts().has_refused() { ExitCode::FAILURE } else { code })
+}

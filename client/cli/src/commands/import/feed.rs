@@ -1,0 +1,185 @@
+//! Reads recordings a second time, on a thread of its own, and makes observations of their messages.
+//!
+//! Invariant: observations come in the order of the recordings; the memory for those read ahead is bounded, whatever
+//! the size of the recordings.
+
+use std::thread;
+
+use anyhow::Context as _;
+use tidemap_client::{
+    maps::GridSpec,
+    observe::{TraversalReport, scan::Scan},
+};
+use tidemap_recordings::{
+    convert::{Converter, Item, Made, NotMade},
+    recording::{Message, RecordingError, Sink, Stopped, Topic},
+};
+use tokio::sync::mpsc;
+
+use super::{
+    ImportArgs, Planned,
+    files::Recording,
+    grid::{self, Ranges},
+    prepare::Prepared,
+};
+
+/// A chunk ends with this many observations, or bytes of scans.
+const CHUNK_ITEMS: usize = 1024;
+const CHUNK_BYTES: usize = 1 << 20;
+const CHUNKS_AHEAD: usize = 2;
+
+/// An observation to send.
+#[derive(Debug)]
+pub(super) struct ImportItem {
+    pub(super) time_nanos: i64,
+    pub(super) content: Content,
+}
+
+#[derive(Debug)]
+pub(super) enum Content {
+    Scan(Scan),
+    /// Of the rule with this index among those of the topic.
+    Value {
+        state: String,
+        value: f64,
+        rule: usize,
+    },
+    Label {
+        state: String,
+        label: String,
+        rule: usize,
+    },
+    Position {
+        state: String,
+        coordinates: Vec<f64>,
+    },
+    Traversal(TraversalReport),
+}
+
+/// What messages became, each with the index of its topic.
+#[derive(Debug, Default)]
+pub(super) struct ImportChunk {
+    pub(super) items: Vec<(usize, Result<ImportItem, NotMade>)>,
+    /// Bytes of the recordings read so far.
+    pub(super) position: u64,
+    bytes: usize,
+}
+
+pub(super) type ImportChunks = mpsc::Receiver<anyhow::Result<ImportChunk>>;
+
+/// Begins to read.
+pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) -> anyhow::Result<ImportChunks> {
+    let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
+    let merge = if args.every_point { None } else { prepared.cells() };
+    let mut reader = Reader {
+        converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), args.times.into(), merge),
+        grid: prepared.grid.clone(),
+        ranges: Ranges { min_m: args.min_range, max_m: args.max_range },
+        chunk: ImportChunk::default(),
+        before: 0,
+        sender,
+    };
+    let recording = planned.recording.clone();
+    thread::Builder::new()
+        .name("recordings".to_owned())
+        .spawn(move || {
+            if let Err(error) = reader.read(&recording) {
+                // Nobody waits any more if this fails.
+                let _ = reader.sender.blocking_send(Err(error));
+            }
+        })
+        .context("thread")?;
+    Ok(receiver)
+}
+
+struct Reader {
+    converter: Converter,
+    grid: Option<GridSpec>,
+    ranges: Ranges,
+    chunk: ImportChunk,
+    /// Bytes of the files before this one.
+    before: u64,
+    sender: mpsc::Sender<anyhow::Result<ImportChunk>>,
+}
+
+impl Reader {
+    fn read(&mut self, recording: &Recording) -> anyhow::Result<()> {
+        for (file, before) in recording.files() {
+            self.before = before;
+            self.converter.next_file();
+            match file.read(self) {
+                // That a file is cut off was said when it was read first.
+                Ok(_) => {}
+                Err(RecordingError::Stopped) => return Ok(()),
+                Err(error) => {
+                    let _ = self.pass_on();
+                    return Err(anyhow::Error::new(error).context(file.shown()));
+                }
+            }
+        }
+        self.chunk.position = recording.bytes();
+        // Nobody waits any more if this fails.
+        let _ = self.pass_on();
+        Ok(())
+    }
+
+    fn pass_on(&mut self) -> Result<(), Stopped> {
+        let position = self.chunk.position;
+        let chunk = std::mem::replace(&mut self.chunk, ImportChunk { position, ..ImportChunk::default() });
+        self.sender.blocking_send(Ok(chunk)).map_err(|_| Stopped)
+    }
+
+    fn item(&self, item: Item) -> Result<ImportItem, NotMade> {
+        let Item { time_nanos, made } = item;
+        if time_nanos < 0 {
+            return Err(NotMade::Wrong(format!("its time, {time_nanos} ns, is before 1970")));
+        }
+        let content = match made {
+            Made::Scan(scan) => Content::Scan(grid::ranges(scan, self.ranges)),
+            Made::Cloud(cloud) => Content::Scan(grid::cloud(cloud, self.ranges)),
+            Made::Grid(placed) => match &self.grid {
+                Some(grid) => Content::Scan(grid::cells(&placed, grid).map_err(NotMade::Wrong)?),
+                None => return Err(NotMade::Wrong("the map has no grid".to_owned())),
+            },
+            Made::Value { state, value, rule } => Content::Value { state, value, rule },
+            Made::Label { state, label, rule } => Content::Label { state, label, rule },
+            Made::Position { state, coordinates_m } => Content::Position { state, coordinates: coordinates_m },
+            Made::Traversal { from, to, start_nanos, success, reason } => {
+                let action = String::new();
+                let report = TraversalReport { from, to, action, start_nanos, end_nanos: time_nanos, success, reason };
+                match report.wrong() {
+                    Some(wrong) => return Err(NotMade::Wrong(wrong)),
+                    None => Content::Traversal(report),
+                }
+            }
+        };
+        Ok(ImportItem { time_nanos, content })
+    }
+}
+
+impl Sink for Reader {
+    fn topic(&mut self, topic: &Topic) -> bool {
+        self.converter.topic(topic)
+    }
+
+    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
+        self.chunk.position = self.before + position;
+        let Some(topic) = self.converter.topic_index(message.topic) else { return Ok(()) };
+        for made in self.converter.convert(message.topic, message.recorded_nanos, message.data) {
+            let item = made.and_then(|item| self.item(item));
+            self.chunk.bytes += item.as_ref().map_or(0, bytes);
+            self.chunk.items.push((topic, item));
+        }
+        if self.chunk.items.len() >= CHUNK_ITEMS || self.chunk.bytes >= CHUNK_BYTES { self.pass_on() } else { Ok(()) }
+    }
+}
+
+/// Bytes of an observation, about.
+fn bytes(item: &ImportItem) -> usize {
+    match &item.content {
+        Content::Scan(Scan::Cloud(cloud)) => cloud.xyz_m.len() * 4,
+        Content::Scan(Scan::Ranges(ranges)) => ranges.ranges_m.len() * 4,
+        Content::Scan(Scan::Tiles(tiles) | Scan::Map { tiles, .. }) => tiles.len() * 144,
+        _ => 64,
+    }
+}

@@ -1,0 +1,161 @@
+//! The files of a recording: found, opened and read one after the other.
+//!
+//! Invariant: files are read in the order in which they are named; those of a folder of rosbag2 in the order of its
+//! `metadata.yaml`. An error names the file.
+
+use std::{
+    fs::{self, File},
+    io::{BufReader, Read as _, Seek as _},
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context as _;
+use tidemap_recordings::{
+    folder::{Folder, METADATA_BYTES_MAX, METADATA_NAME, ZSTD_ENDING},
+    kind::{self, DETECT_BYTES},
+    recording::{Ending, FileKind, RecordingError, Sink},
+    rosbag2::LOG_ENDING,
+    survey::{Survey, Surveyed},
+    zstd_stream::ZstdStream,
+};
+
+use crate::{
+    commands::usage,
+    progress::{Bar, status_line},
+};
+
+const BUFFER_BYTES: usize = 256 * 1024;
+
+/// A file of a recording.
+#[derive(Clone, Debug)]
+pub(super) struct RecordedFile {
+    path: PathBuf,
+    kind: FileKind,
+    /// Whether the file is compressed as a whole.
+    is_packed: bool,
+    bytes: u64,
+}
+
+/// The files of the recordings of a command, in their order.
+#[derive(Clone, Debug)]
+pub(super) struct Recording {
+    files: Vec<RecordedFile>,
+}
+
+impl Recording {
+    /// Finds the files, and what each is.
+    pub(super) fn open(paths: &[PathBuf]) -> anyhow::Result<Self> {
+        let mut files = Vec::new();
+        for path in paths {
+            if path.is_dir() {
+                for file in of_folder(path)? {
+                    files.push(RecordedFile::open(file)?);
+                }
+            } else {
+                files.push(RecordedFile::open(path.clone())?);
+            }
+        }
+        Ok(Self { files })
+    }
+
+    /// Number of bytes of all files.
+    pub(super) fn bytes(&self) -> u64 {
+        self.files.iter().map(|file| file.bytes).sum()
+    }
+
+    /// The files, each with the number of bytes of those before it.
+    pub(super) fn files(&self) -> impl Iterator<Item = (&RecordedFile, u64)> {
+        self.files.iter().scan(0, |before, file| {
+            let start = *before;
+            *before += file.bytes;
+            Some((file, start))
+        })
+    }
+}
+
+impl RecordedFile {
+    fn open(path: PathBuf) -> anyhow::Result<Self> {
+        let shown = path.display().to_string();
+        let open = || -> anyhow::Result<Self> {
+            let mut file = File::open(&path)?;
+            let bytes = file.metadata()?.len();
+            let is_packed = shown.ends_with(ZSTD_ENDING) || shown.ends_with(".zst");
+            let mut start = Vec::new();
+            if is_packed {
+                ZstdStream::new(BufReader::new(&mut file)).take(DETECT_BYTES as u64).read_to_end(&mut start)?;
+            } else {
+                (&mut file).take(DETECT_BYTES as u64).read_to_end(&mut start)?;
+            }
+            let kind = FileKind::detect(&start)?;
+            let log = PathBuf::from(format!("{shown}{LOG_ENDING}"));
+            if kind == FileKind::Sqlite && fs::metadata(&log).is_ok_and(|log| log.len() > 0) {
+                status_line(&format!(
+                    "{shown}: {} beside it holds messages that are not in the file yet, which are left out: they are \
+                     taken in when the recording is opened with ros2 bag once",
+                    log.display()
+                ));
+            }
+            Ok(Self { path: path.clone(), kind, is_packed, bytes })
+        };
+        open().with_context(|| shown.clone())
+    }
+
+    /// Name of the file, for messages.
+    pub(super) fn shown(&self) -> String {
+        self.path.display().to_string()
+    }
+
+    /// Reads the file.
+    pub(super) fn read(&self, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
+        let mut file = File::open(&self.path)?;
+        file.rewind()?;
+        let file = BufReader::with_capacity(BUFFER_BYTES, file);
+        if self.is_packed {
+            kind::read_stream(self.kind, ZstdStream::new(file), sink)
+        } else {
+            kind::read(self.kind, file, sink)
+        }
+    }
+}
+
+/// The files of a folder of rosbag2.
+fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let metadata = folder.join(METADATA_NAME);
+    let shown = || metadata.display().to_string();
+    if !metadata.exists() {
+        return Err(usage(format!(
+            "{}: the folder has no {METADATA_NAME}, so it is no recording of rosbag2: name the files in it",
+            folder.display()
+        )));
+    }
+    let mut text = String::new();
+    let file = File::open(&metadata).with_context(shown)?;
+    file.take(METADATA_BYTES_MAX as u64 + 1).read_to_string(&mut text).with_context(shown)?;
+    let read = Folder::parse(&text).with_context(shown)?;
+    Ok(read.files.into_iter().map(|name| folder.join(name)).collect())
+}
+
+/// Reads the files once, to find what is in them.
+pub(super) fn survey(recording: &Recording, bar: &Bar) -> anyhow::Result<Surveyed> {
+    let mut survey = Survey::default();
+    surveyed(recording, bar, &mut survey, true)?;
+    if survey.has_too_many_transforms() {
+        survey.again_with_sensors();
+        surveyed(recording, bar, &mut survey, false)?;
+    }
+    Ok(survey.finish())
+}
+
+fn surveyed(recording: &Recording, bar: &Bar, survey: &mut Survey, is_first: bool) -> anyhow::Result<()> {
+    for (file, before) in recording.files() {
+        survey.next_file();
+        let watched = bar.clone();
+        survey.watch(move |position| watched.set(before + position));
+        if let Ending::CutOff(how) = file.read(survey).with_context(|| file.shown())?
+            && is_first
+        {
+            bar.status_line(&format!("{}: {how}; what comes before is taken", file.shown()));
+        }
+    }
+    Ok(())
+}

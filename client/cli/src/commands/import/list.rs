@@ -1,0 +1,84 @@
+//! What an import shows: the topics, what becomes of them, and what a person should know.
+//!
+//! Invariant: each topic is one row, in the order of the recording.
+
+use tidemap_formats::table::Cell;
+use tidemap_recordings::plan::FrameChoice;
+
+use super::{Planned, counts::TopicCounts};
+use crate::{commands::Session, progress::status_line};
+
+const COLUMNS: [&str; 7] = ["topic", "type", "messages", "becomes", "accepted", "skipped", "refused"];
+
+/// Prints what would become of the topics.
+pub(super) fn print(session: &Session, planned: &Planned) -> anyhow::Result<()> {
+    let rows = rows(planned).map(|row| [row, vec![Cell::Empty; 3]].concat());
+    session.print(&COLUMNS, rows)?;
+    tell(planned);
+    for (topic, plan) in planned.surveyed.topics.iter().zip(&planned.plan.topics) {
+        if let Some(why) = &plan.skipped {
+            status_line(&format!("{}: {why}", topic.name));
+        }
+    }
+    Ok(())
+}
+
+/// Prints what became of the topics.
+pub(super) fn print_counts(session: &Session, planned: &Planned, counts: &TopicCounts) -> anyhow::Result<()> {
+    let all = rows(planned).zip(counts.topics()).map(|(row, counts)| {
+        let counted = [counts.accepted, counts.skipped, counts.refused].map(Cell::from).to_vec();
+        [row, counted].concat()
+    });
+    session.print(&COLUMNS, all)?;
+    Ok(())
+}
+
+fn rows(planned: &Planned) -> impl Iterator<Item = Vec<Cell>> {
+    planned.surveyed.topics.iter().zip(&planned.plan.topics).map(|(topic, plan)| {
+        vec![
+            Cell::Text(topic.name.clone()),
+            Cell::Text(topic.type_name.clone()),
+            topic.messages.into(),
+            Cell::Text(plan.becomes()),
+        ]
+    })
+}
+
+/// Tells what is not in the rows: frames, transforms, times.
+pub(super) fn tell(planned: &Planned) {
+    let Planned { surveyed, plan, .. } = planned;
+    let places = |choice: FrameChoice, frame: &str| match choice {
+        FrameChoice::Asked => format!("everything is placed in frame {frame:?}, as asked"),
+        FrameChoice::Usual => format!("everything is placed in frame {frame:?}; --frame names another"),
+        FrameChoice::Root => format!("everything is placed in frame {frame:?}, the root above the sensors"),
+        FrameChoice::OfMessages | FrameChoice::None => format!("the messages are in frame {frame:?}"),
+    };
+    if let Some(frame) = &plan.frame {
+        status_line(&places(plan.choice, frame));
+    } else if let Some(topic) =
+        surveyed.topics.iter().zip(&plan.topics).find_map(|(topic, plan)| plan.grid.map(|_| topic))
+        && !topic.frame.is_empty()
+    {
+        status_line(&format!(
+            "the recording has no transforms, so where {:?} of {} was is not known, and nothing is placed: if it stood \
+             still, add --frame {}",
+            topic.frame, topic.name, topic.frame
+        ));
+    }
+    if surveyed.has_too_many_transforms {
+        status_line(
+            "the recording has more transforms than can be held: the last ones are missing, and so are the scans after \
+             them. Split the recording, for example with ros2 bag convert",
+        );
+    }
+    if surveyed.bad_transforms > 0 {
+        status_line(&format!(
+            "{} transforms are left out: they are not finite or name no frames",
+            surveyed.bad_transforms
+        ));
+    }
+    for topic in surveyed.topics.iter().filter(|topic| topic.unread > 0) {
+        let problem = topic.problem.as_deref().unwrap_or_default();
+        status_line(&format!("{}: {} messages cannot be read: {problem}", topic.name, topic.unread));
+    }
+}

@@ -1,0 +1,73 @@
+//! Recordings of real robots, as an independent program has counted them.
+//!
+//! Invariant: the recordings lie beside the repository; without them the tests are skipped and say so.
+
+use tidemap_tests::{daemon::Daemon, recordings};
+
+use super::{counts, started, words};
+
+#[track_caller]
+fn imported(daemon: &Daemon, map: &str, file: &str, topics: &[(&str, [u64; 3])], code: i32) -> String {
+    let Some(bags) = recordings::folder("bags") else { return String::new() };
+    let outcome = words(daemon, &format!("import {map} {}/{file} --producer robot-1", bags.display()));
+    let table = outcome.table_with(code);
+    for (topic, wanted) in topics {
+        assert_eq!(counts(&table, topic), *wanted, "{file} {topic}: {}", outcome.stderr);
+    }
+    outcome.stderr
+}
+
+#[test]
+fn real_recordings_become_what_is_in_them() {
+    if recordings::folder("bags").is_none() {
+        return;
+    }
+    let (_folder, daemon) = started();
+    let jarvis = [
+        ("/driver_laser_navigation/laser_scan", [204, 0, 0]),
+        ("/driver_laser_security/laser_scan", [212, 1, 0]),
+        ("/pose_ground_truth", [204, 0, 0]),
+    ];
+    let said = imported(&daemon, "jarvis", "jarvis.bag", &jarvis, 0);
+    assert!(said.contains("frame \"map\""), "{said}");
+    imported(&daemon, "jarvis2", "jarvis_zstd", &jarvis, 0);
+    let cut =
+        [("/driver_laser_navigation/laser_scan", [108, 0, 0]), ("/driver_laser_security/laser_scan", [111, 2, 0])];
+    let said = imported(&daemon, "cut", "jarvis-cut.bag", &cut, 0);
+    assert!(said.contains("jarvis-cut.bag: "), "{said}");
+    let tilt = [("/guardian/laser_tilt_front", [415, 6, 0]), ("/guardian/laser_horizontal_back", [413, 5, 0])];
+    imported(&daemon, "tilt", "guardian-tilt.bag", &tilt, 0);
+    let simulated = [("/scan", [134, 0, 0]), ("/odom", [788, 0, 0])];
+    let said = imported(&daemon, "simulated", "turtlebot3", &simulated, 0);
+    assert!(said.contains("before 1990"), "{said}");
+    let said = imported(&daemon, "mumble", "mumble", &[("/scan", [0, 508, 0])], 0);
+    assert!(said.contains("--frame laser_frame"), "{said}");
+}
+
+#[test]
+fn poses_of_which_some_are_not_finite_are_refused_one_by_one() {
+    if recordings::folder("bags").is_none() {
+        return;
+    }
+    let (_folder, daemon) = started();
+    let poses = [
+        ("/cf_controll", [28, 0, 209]),
+        ("/cf_logerr", [28, 0, 209]),
+        ("/cf_logpos", [0, 0, 236]),
+        ("/vicon/Group466CF/Group466CF/pose", [2359, 0, 0]),
+    ];
+    let said = imported(&daemon, "crazyflie", "crazyflie-nan", &poses, 1);
+    assert!(said.contains("is not finite"), "{said}");
+    let said = imported(&daemon, "zeros", "zeros.bag", &[("/occupancygrid", [0, 0, 1])], 1);
+    assert!(said.contains("the resolution must be above 0"), "{said}");
+}
+
+#[test]
+fn recordings_with_nothing_to_take_or_of_an_old_version_say_so() {
+    let Some(bags) = recordings::folder("bags") else { return };
+    let (_folder, daemon) = started();
+    let bags = bags.display();
+    let turtles = words(&daemon, &format!("import turtles {bags}/turtlesim-lz4.bag"));
+    turtles.fails(1, &["nothing can be made of these recordings"]);
+    words(&daemon, &format!("import old {bags}/rosrecord-1.2.bag")).fails(1, &["ROSRECORD V1.2"]);
+}
