@@ -35,6 +35,8 @@ pub const MAP_TOPIC: &str = "/map";
 pub const GRID_TOPIC: &str = "/grid";
 /// Topic of the topological map.
 pub const TOPOLOGY_TOPIC: &str = "/topology";
+/// Topic of unusual observations, which only a server has.
+pub const ANOMALIES_TOPIC: &str = "/anomalies";
 /// Before the names of states in topics.
 pub const STATES_PREFIX: &str = "/states/";
 /// Maximum number of states of a recording: MCAP has at most 65,535 topics.

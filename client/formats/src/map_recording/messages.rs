@@ -55,6 +55,41 @@ pub const STATE_SCHEMA: &str = r#"{
   "required": ["timestamp", "value"]
 }"#;
 
+/// The schema of [`anomalies`].
+pub const ANOMALIES_SCHEMA: &str = r#"{
+  "title": "tidemap.Anomalies",
+  "description": "Observations in the hour before a time that the map did not expect, the most surprising first",
+  "type": "object",
+  "properties": {
+    "timestamp": {"type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999}}},
+    "anomalies": {"type": "array", "items": {"type": "object", "properties": {
+      "state": {"type": "string"},
+      "first": {"type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999}}},
+      "last": {"type": "object", "title": "time", "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999}}},
+      "value": {"type": "number"},
+      "probability": {"type": "number"},
+      "bits": {"type": "number"}
+    }}}
+  }
+}"#;
+
+/// Unusual observations of a state in a row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnomalyEntry {
+    /// Name of the state.
+    pub state: String,
+    /// Time of the first of them, nanoseconds UTC.
+    pub first_nanos: i64,
+    /// Time of the last of them, nanoseconds UTC.
+    pub last_nanos: i64,
+    /// The value of the most surprising one.
+    pub value: f64,
+    /// What was predicted of it: the probability of the value 1, or of a value at least as far from the prediction.
+    pub probability: f64,
+    /// The surprise of all of them, in bits.
+    pub bits: f64,
+}
+
 /// The predicted value of a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateValue {
@@ -122,4 +157,23 @@ pub fn topology(geojson: &str) -> Result<Vec<u8>, MapRecordingError> {
 pub fn state(time_nanos: i64, state: StateValue) -> Result<Vec<u8>, MapRecordingError> {
     let StateValue { value, low, high } = state;
     Ok(serde_json::to_vec(&json!({ "timestamp": time(time_nanos), "value": value, "low": low, "high": high }))?)
+}
+
+/// What was unusual at a time as a `tidemap.Anomalies`; possibly nothing.
+///
+/// # Errors
+/// [`MapRecordingError::Json`].
+pub fn anomalies(time_nanos: i64, entries: &[AnomalyEntry]) -> Result<Vec<u8>, MapRecordingError> {
+    let entry = |entry: &AnomalyEntry| {
+        json!({
+            "state": entry.state,
+            "first": time(entry.first_nanos),
+            "last": time(entry.last_nanos),
+            "value": entry.value,
+            "probability": entry.probability,
+            "bits": entry.bits,
+        })
+    };
+    let entries: Vec<Value> = entries.iter().map(entry).collect();
+    Ok(serde_json::to_vec(&json!({ "timestamp": time(time_nanos), "anomalies": entries }))?)
 }

@@ -101,10 +101,19 @@ fn states_and_topologies_have_topics_of_their_own() -> Result<(), Box<dyn std::e
 #[test]
 fn schemas_are_json_and_name_every_field_of_their_messages() -> Result<(), serde_json::Error> {
     let state = messages::state(TIME, StateValue { value: 0.5, low: None, high: None });
+    let anomaly = messages::AnomalyEntry {
+        state: "door".to_owned(),
+        first_nanos: TIME,
+        last_nanos: TIME,
+        value: 1.0,
+        probability: 0.01,
+        bits: 6.6,
+    };
     for (schema, message) in [
         (messages::GRID_SCHEMA, messages::grid(TIME, "map", &samples::flat())),
         (messages::GEOJSON_SCHEMA, messages::topology("{}")),
         (messages::STATE_SCHEMA, state),
+        (messages::ANOMALIES_SCHEMA, messages::anomalies(TIME, &[anomaly.clone()])),
     ] {
         let schema: Value = serde_json::from_str(schema)?;
         let message: Value = serde_json::from_slice(&message.expect("a message"))?;
