@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
+.PHONY: help build texts schemathesis foxglove api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -15,6 +15,7 @@ ENV := . target/setup.env
 BUILT = $${CARGO_TARGET_DIR:-target}/release
 PREFIX ?= /usr/local
 SCHEMATHESIS := 4.32.5
+WEBSOCKETS := 17.4
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
 TESTED = --workspace --locked --bins --tests $(FEATURES)
@@ -40,6 +41,15 @@ schemathesis: build
 	@[ -x target/schemathesis/bin/schemathesis ] || { python3 -m venv target/schemathesis && \
 		target/schemathesis/bin/pip install --quiet schemathesis==$(SCHEMATHESIS); }
 	@tests/schemathesis/run.sh "$(BUILT)" "$$PWD/target/schemathesis"
+
+## foxglove: asks `tidemap foxglove` by the protocol of Foxglove; needs Python 3.10
+foxglove:
+	@$(SETUP)
+	@$(ENV); cargo build --locked -p tidemapd -p tidemap $(FEATURES),tidemap/foxglove
+	@[ -x target/foxglove/bin/python ] || { rm -rf target/foxglove.new && python3 -m venv target/foxglove.new && \
+		target/foxglove.new/bin/python -m pip install --quiet websockets==$(WEBSOCKETS) && \
+		mv target/foxglove.new target/foxglove; }
+	@target/foxglove/bin/python tests/foxglove/check.py "$${CARGO_TARGET_DIR:-target}/debug"
 
 ## api-page: docs/src/api.md, from the descriptors of the wire; a test holds it equal
 api-page:

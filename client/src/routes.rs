@@ -30,7 +30,7 @@ pub use tidemap_map::{
 };
 pub use tidemap_plan::{
     policy::{PolicyAction, PolicyEntry},
-    route::{Certainty, Objective},
+    route::{Certainty, Objective, expected_secs},
     search::{Effort, SearchStep, StopReason},
 };
 pub use tidemap_proto::convert::route::EdgePrediction;

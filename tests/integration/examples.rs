@@ -81,6 +81,7 @@ pages! {
     topology: "docs/src/topology.md",
     traces: "docs/src/traces.md",
     upgrade: "docs/src/upgrade.md",
+    viewers: "docs/src/viewers.md",
     wire: "docs/src/wire.md",
 }
 

@@ -11,7 +11,7 @@ mod changed;
 mod half_life;
 mod history;
 mod kill;
-mod map_file;
+pub(crate) mod map_file;
 mod map_series;
 mod naive;
 mod octomap_file;

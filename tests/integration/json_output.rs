@@ -14,7 +14,7 @@ use tidemap_tests::{
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run. Those of a cluster are run
 /// where there is one, in `cluster.rs`.
-const NOT_RUN: [&str; 24] = [
+const NOT_RUN: [&str; 25] = [
     "cluster status",
     "cluster maps",
     "cluster move",
@@ -29,6 +29,7 @@ const NOT_RUN: [&str; 24] = [
     "bench search",
     "bench landmarks",
     "bench grid",
+    "foxglove",
     "experiment",
     "experiment compare",
     "experiment explore",
@@ -262,6 +263,8 @@ fn check_grid_and_exploration(checked: &mut Checked, folder: &str) {
     checked.run("grid observe", &format!("home {folder}/scan.pcd --at {NOON} --pose 0,0,0,0,0,0,1 --producer r"));
     checked.run("update", "home");
     checked.run("grid predict", &format!("home --at {NOON} --out {folder}/noon.png"));
+    let exported = checked.run("export", &format!("home {folder}/noon.yaml --at {NOON} --mask speed"));
+    assert_eq!((&exported[0]["content"], exported.as_array().map(Vec::len)), (&"speed".into(), Some(1)));
     let changed = checked.run("grid changed", "home");
     assert_eq!(changed, serde_json::json!([]));
     checked.run("visit", &format!("home 1,1 --reached true --at {NOON}"));

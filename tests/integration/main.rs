@@ -17,6 +17,7 @@ mod evaluation;
 mod examples;
 mod experiments;
 mod exploration;
+mod export;
 mod floods;
 mod flows;
 mod grid;

@@ -13,7 +13,9 @@ mod erase;
 mod evaluate;
 #[cfg(feature = "experiment")]
 mod experiment;
+mod export;
 mod files;
+mod foxglove;
 mod grid;
 mod help;
 mod import;
@@ -210,6 +212,18 @@ enum Command {
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
     Grid(grid::GridCommand),
+    /// Writes maps of any time, past or future, as files for other programs
+    ///
+    /// The ending of PATH says what: .mcap is a recording of the map over time for Foxglove and ROS 2, with the grid, the
+    /// topological map and the states; .yaml is a map for Nav2's map server, with its image .pgm beside it, or with
+    /// --mask a mask for a costmap filter; .geojson is the topological map for Nav2's route server, whose edges cost the
+    /// expected seconds at that time. A .mcap file takes many times, the others one.
+    Export(export::ExportArgs),
+    /// Serves a map to the program Foxglove, whose time bar then asks for maps of the past and of the future
+    ///
+    /// Foxglove opens the address that is printed. Its time bar begins with the first observation and ends --ahead after
+    /// now. Channels: /grid, /topology, /states/NAME and /anomalies. The server runs until it is interrupted.
+    Foxglove(foxglove::FoxgloveArgs),
     /// Shows the exact observations of a state, if the map keeps its history
     Reconstruct(reconstruct::ReconstructArgs),
     /// Shows the observations of a state that the model did not expect, or waits for them with --watch
@@ -445,6 +459,8 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Predict(args) => predict::run(&session, args).await,
         Command::Position(args) => position::run(&session, args).await,
         Command::Grid(command) => grid::run(&session, command).await,
+        Command::Export(args) => export::run(&session, args).await,
+        Command::Foxglove(args) => foxglove::run(&session, args).await,
         Command::Reconstruct(args) => reconstruct::run(&session, &args).await,
         Command::Anomalies(args) => anomalies::run(&session, args).await,
         Command::Evaluate(args) => evaluate::run(&session, args).await,

@@ -20,6 +20,7 @@
 //!
 //! Invariant: rows of a [`Grid`] go upwards, rows of the image downwards; a grid has one cell for each pixel.
 
+mod mask;
 mod pgm;
 mod settings;
 #[cfg(test)]
@@ -28,6 +29,7 @@ mod write;
 
 use super::error::{FilePlace, FormatError};
 
+pub use mask::{keepout, speed};
 pub use settings::{GridMode, GridSettings, read_settings};
 pub use write::{Thresholds, write};
 

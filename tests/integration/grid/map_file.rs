@@ -33,7 +33,7 @@ for y in range(grid.height):
     print(''.join({1.0: '#', 0.0: '.'}.get(float(grid.data[x, y]), '?') for x in range(grid.width)))
 ";
 
-pub(super) fn run(command: &mut Command) -> Result<String, String> {
+pub(crate) fn run(command: &mut Command) -> Result<String, String> {
     let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
@@ -43,7 +43,7 @@ pub(super) fn run(command: &mut Command) -> Result<String, String> {
 }
 
 /// Python with a package, or the reason why it is missing.
-pub(super) fn python_with(package: &str) -> Result<PathBuf, String> {
+pub(crate) fn python_with(package: &str) -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let (ready, unfinished) = (folder.join(package), folder.join(format!("{package}.{}", std::process::id())));
     let python = ready.join("bin/python");

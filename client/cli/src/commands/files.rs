@@ -4,13 +4,19 @@
 
 use std::{
     fs,
-    io::{self, Write as _},
+    io::{self, Seek, SeekFrom, Write},
+    os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
 };
 
 use anyhow::Context as _;
 
+use tempfile::NamedTempFile;
+
 use super::UsageError;
+
+/// What a new file may be used for, before the user's own mask is applied.
+const MODE: u32 = 0o666;
 
 /// Reads a text file, or stdin if the path is `-`.
 pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
@@ -23,6 +29,53 @@ pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
 /// Writes a file.
 pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
     fs::write(path, content).with_context(|| path.display().to_string())
+}
+
+/// Writes a file that appears under its name when it is complete; until then, a file of that name stays as it was.
+pub(crate) fn replace(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    let mut file = Replacement::begin(path)?;
+    file.write_all(content.as_ref()).with_context(|| path.display().to_string())?;
+    file.keep()
+}
+
+/// A file in progress, which takes its name in the end. Dropped before, it is removed.
+#[derive(Debug)]
+pub(crate) struct Replacement {
+    path: PathBuf,
+    file: NamedTempFile,
+}
+
+impl Replacement {
+    /// Begins a file, beside the one that it will be.
+    pub(crate) fn begin(path: &Path) -> anyhow::Result<Self> {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".tidemap-").permissions(fs::Permissions::from_mode(MODE));
+        let file = builder.tempfile_in(folder).with_context(|| path.display().to_string())?;
+        Ok(Self { path: path.to_owned(), file })
+    }
+
+    /// Gives the file its name.
+    pub(crate) fn keep(self) -> anyhow::Result<()> {
+        let Self { path, file } = self;
+        file.persist(&path).map(drop).with_context(|| path.display().to_string())
+    }
+}
+
+impl Write for Replacement {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for Replacement {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.file.seek(position)
+    }
 }
 
 /// The ending of a file's name, in small letters.

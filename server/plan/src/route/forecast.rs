@@ -79,6 +79,7 @@ pub(crate) fn check_forecast(forecast: &EdgeForecast, name: impl FnOnce() -> Str
 
 /// Expected seconds to traverse an edge with repeated attempts: d + (1 - p)/p · (d + r). The number of failures before
 /// the first success is geometric, (1 - p)/p on average, and each costs the attempt's time d and recovery r.
-pub(crate) fn expected_secs(success: f64, duration_secs: f64, recovery_secs: f64) -> f64 {
+#[must_use]
+pub fn expected_secs(success: f64, duration_secs: f64, recovery_secs: f64) -> f64 {
     duration_secs + (1.0 - success) / success * (duration_secs + recovery_secs)
 }

@@ -223,7 +223,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
 }
 
 /// The whole prediction of a query.
-async fn predicted(session: &Session, query: &GridQuery) -> anyhow::Result<WholeGrid> {
+pub(crate) async fn predicted(session: &Session, query: &GridQuery) -> anyhow::Result<WholeGrid> {
     let predicted = match session.client.predict_grid(query).await {
         Ok(predicted) => predicted,
         Err(error) => return Err(explained(session, query, error).await),
@@ -271,21 +271,40 @@ async fn explained(session: &Session, query: &GridQuery, error: Error) -> anyhow
 
 /// The requested cells; `None` for all.
 async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Option<CellBox>> {
-    let is_for_people = args.out.is_none();
-    if args.region.is_none() && args.z.is_none() && !is_for_people {
+    if args.region.is_none() && args.z.is_none() && args.out.is_some() {
         return Ok(None);
     }
-    let map = session.client.map(&args.map).await?;
+    cells_between(session, &args.map, (args.region, args.z), args.out.is_none()).await
+}
+
+/// The requested cells of a map; without heights, those that matter to a robot. `None` for all.
+pub(crate) async fn usual_region(
+    session: &Session,
+    map: &str,
+    rectangle: Option<Rectangle>,
+    z: Option<AxisRange>,
+) -> anyhow::Result<Option<CellBox>> {
+    cells_between(session, map, (rectangle, z), true).await
+}
+
+/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, those that matter to a robot.
+async fn cells_between(
+    session: &Session,
+    map: &str,
+    (rectangle, z): (Option<Rectangle>, Option<AxisRange>),
+    is_usual: bool,
+) -> anyhow::Result<Option<CellBox>> {
+    let map = session.client.map(map).await?;
     let Some(grid) = map.grid else { return Ok(None) };
-    if grid.is_flat && args.z.is_some() {
-        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)));
+    if grid.is_flat && z.is_some() {
+        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", map.name)));
     }
     // Without observations the prediction is empty, whatever the region.
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.region) else { return Ok(None) };
     let has_layers = |region: &CellBox| region.min.z < bounds.max.z && region.max.z > bounds.min.z;
-    let usual = Some(cells(&grid, &bounds, args.region, Some(AxisRange::new(HEIGHTS_M.0, HEIGHTS_M.1))))
-        .filter(|region| is_for_people && !grid.is_flat && args.z.is_none() && has_layers(region));
-    let region = usual.unwrap_or_else(|| cells(&grid, &bounds, args.region, args.z));
+    let usual = Some(cells(&grid, &bounds, rectangle, Some(AxisRange::new(HEIGHTS_M.0, HEIGHTS_M.1))))
+        .filter(|region| is_usual && !grid.is_flat && z.is_none() && has_layers(region));
+    let region = usual.unwrap_or_else(|| cells(&grid, &bounds, rectangle, z));
     Ok(Some(if grid.is_flat {
         CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } }
     } else {

@@ -1,0 +1,78 @@
+//! `tidemap export`: maps of any time as files that other programs read.
+//!
+//! Invariant: the ending of PATH says what is written. A file appears under its name when it is complete; a file that was
+//! there before stays if the export fails.
+
+mod args;
+pub(crate) mod frames;
+mod graph;
+mod image;
+mod recording;
+
+use std::{path::Path, process::ExitCode};
+
+use super::{Session, UsageError, files, usage};
+use tidemap_formats::table::Cell;
+
+pub(crate) use args::ExportArgs;
+
+/// What the ending of a path asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ExportKind {
+    /// Maps over time, as MCAP.
+    Recording,
+    /// A map or a mask of Nav2: YAML, and an image beside it.
+    Image,
+    /// A graph for Nav2's route server.
+    Graph,
+}
+
+/// What was written: a path, what is in it, and how many of that.
+struct Written {
+    path: String,
+    content: &'static str,
+    count: u64,
+}
+
+fn kind(path: &Path) -> Result<ExportKind, UsageError> {
+    match files::ending(path).as_deref() {
+        Some("mcap") => Ok(ExportKind::Recording),
+        Some("yaml") => Ok(ExportKind::Image),
+        Some("geojson") => Ok(ExportKind::Graph),
+        _ => Err(UsageError(format!("{}: its ending has to be .mcap, .yaml or .geojson", path.display()))),
+    }
+}
+
+pub(crate) async fn run(session: &Session, args: ExportArgs) -> anyhow::Result<ExitCode> {
+    let kind = kind(&args.path)?;
+    args.check(kind)?;
+    let times = args.times.asked(session, &args.map).await?;
+    let written = match (kind, times.as_slice()) {
+        (ExportKind::Recording, _) => recording::write(session, &args, times).await?,
+        (ExportKind::Image, &[time]) => image::write(session, &args, time).await?,
+        (ExportKind::Graph, &[time]) => graph::write(session, &args, time).await?,
+        _ => {
+            return Err(usage(format!(
+                "{}: it takes one time, and there are {}; a .mcap file takes many",
+                args.path.display(),
+                times.len()
+            )));
+        }
+    };
+    let row = |Written { path, content, count }| vec![Cell::Text(path), content.into(), count.into()];
+    session.print(&["out", "content", "count"], written.into_iter().map(row))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ending_says_what_to_export() {
+        let kind = |path: &str| kind(Path::new(path)).map_err(|error| error.0);
+        assert_eq!(kind("week.mcap"), Ok(ExportKind::Recording));
+        assert_eq!(kind("a/ten.YAML"), Ok(ExportKind::Image));
+        assert_eq!(kind("graph.geojson"), Ok(ExportKind::Graph));
+        assert!(kind("ten.pgm").is_err_and(|text| text.contains(".mcap, .yaml or .geojson")));
+    }
+}
