@@ -143,9 +143,8 @@ fn scans_without_a_place_are_counted_and_named() {
     }
     let file = written(&folder, "bare.bag", &bag, usize::MAX);
     let line = format!("import still {} --producer robot-1", file.display());
-    let bare = words(&daemon, &line);
-    assert_eq!(counts(&bare.table(), "/scan"), [0, 10, 0]);
-    assert!(bare.stderr.contains("--frame laser"), "{}", bare.stderr);
+    words(&daemon, &line).fails(1, &["where \"laser\" of /scan was is not known", "--frame laser"]);
+    words(&daemon, "map show still").fails(1, &["still"]);
     let placed = words(&daemon, &format!("{line} --frame laser"));
     assert_eq!(counts(&placed.table(), "/scan"), [10, 0, 0]);
     bag.transform("/tf", START_NANOS + 2 * SECOND_NANOS, ("odom", "laser"), [0.0; 3]);

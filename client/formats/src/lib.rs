@@ -4,6 +4,7 @@
 //! memory for a number in a file before that number was checked against the file's length. A truncated file is an
 //! error, never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
 
+pub mod cdr;
 pub mod cells_csv;
 #[cfg(test)]
 mod cuts;
@@ -20,6 +21,7 @@ mod picture;
 pub mod ply;
 pub mod png;
 mod points;
+pub mod robot_recording;
 pub mod route_graph;
 mod scalar;
 pub mod svg;

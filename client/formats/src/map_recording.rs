@@ -13,8 +13,8 @@
 //! Invariant: messages are written as they come, without compression; at most one message and one chunk of about 1 MiB
 //! are in memory. A file is complete only after [`MapRecording::finish`].
 
-mod cdr;
 mod definitions;
+mod grid_message;
 pub mod messages;
 #[cfg(test)]
 mod tests;
@@ -138,7 +138,7 @@ impl<W: Write + Seek> MapRecording<W> {
     /// # Errors
     /// [`MapRecordingError`]; a map has to be flat.
     pub fn map(&mut self, time_nanos: i64, frame: &str, picture: &MapPicture) -> Result<(), MapRecordingError> {
-        let message = cdr::occupancy_grid(time_nanos, frame, picture)?;
+        let message = grid_message::occupancy_grid(time_nanos, frame, picture)?;
         self.put(time_nanos, MAP_TOPIC, &MAP, &message)?;
         self.counts.maps += 1;
         Ok(())

@@ -142,10 +142,13 @@ pub fn retention_to_wire(retention: Retention) -> v1::Retention {
     v1::Retention { keep: Some(keep) }
 }
 
-/// A pose for the wire.
+/// A pose for the wire. The wire leaves out a minus zero as it does a zero, so it is a zero here already: both sides
+/// then compute the same checksum.
 #[must_use]
 pub fn pose_to_wire(pose: &Isometry3<f64>) -> v1::Pose {
-    let ([x_m, y_m, z_m], [qx, qy, qz, qw]) = (pose.translation.vector.into(), pose.rotation.coords.into());
+    let ([x_m, y_m, z_m], [qx, qy, qz, qw]): ([f64; 3], [f64; 4]) =
+        (pose.translation.vector.into(), pose.rotation.coords.into());
+    let [x_m, y_m, z_m, qx, qy, qz, qw] = [x_m, y_m, z_m, qx, qy, qz, qw].map(|number| number + 0.0);
     v1::Pose { x_m, y_m, z_m, qx, qy, qz, qw }
 }
 
@@ -169,4 +172,21 @@ pub fn pose_from_wire(field: &str, wire: Option<v1::Pose>) -> Result<Isometry3<f
         return Err(InvalidField::new(field, text));
     };
     Ok(Isometry3::from_parts(Translation3::new(x_m, y_m, z_m), rotation))
+}
+
+#[cfg(test)]
+mod tests {
+    use prost::Message as _;
+
+    use super::*;
+
+    #[test]
+    fn a_pose_with_minus_zeros_is_the_same_on_both_sides() {
+        let rotation = UnitQuaternion::new_unchecked(Quaternion::new(1.0, -0.0, 0.0, -0.0));
+        let sent = pose_to_wire(&Isometry3::from_parts([-0.0, 2.0, -0.0].into(), rotation));
+        let received = v1::Pose::decode(sent.encode_to_vec().as_slice()).expect("what was encoded");
+        let bits =
+            |pose: &v1::Pose| [pose.x_m, pose.y_m, pose.z_m, pose.qx, pose.qy, pose.qz, pose.qw].map(f64::to_bits);
+        assert_eq!(bits(&sent), bits(&received));
+    }
 }

@@ -115,12 +115,12 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
         list::print(session, &planned)?;
         return Ok(ExitCode::SUCCESS);
     }
-    list::tell(&planned);
-    if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
+    if !planned.plan.topics.iter().any(|plan| plan.is_observed()) || list::is_all_without_place(&planned) {
         list::print(session, &planned)?;
         status_line("nothing can be made of these recordings: --mapping says what to make of other topics");
         return Ok(ExitCode::FAILURE);
     }
+    list::tell(&planned);
     send(session, args, planned).await
 }
 

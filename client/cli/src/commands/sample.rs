@@ -7,6 +7,7 @@ mod door;
 mod grid;
 mod home;
 mod office;
+mod recording;
 
 use std::{
     fs,
@@ -65,6 +66,8 @@ enum Sample {
     Home,
     /// Two weeks of scans of an office of real size, 213,000 cells of 0.1 m
     Grid,
+    /// Two weeks of a robot in a corridor with two doors, as ROS 2 records it: scans, transforms, doors
+    Recording,
 }
 
 /// A file of a sample.
@@ -82,6 +85,7 @@ impl Sample {
             Self::Building => "building",
             Self::Home => "home",
             Self::Grid => "grid",
+            Self::Recording => "recording",
         }
     }
 
@@ -92,6 +96,7 @@ impl Sample {
             Self::Building => "two weeks of a building: a Nav2 map for each hour, rooms, topological map, traversals",
             Self::Home => "twelve weeks of forty sensors of a home that report changes, and the week after",
             Self::Grid => "two weeks of scans of an office of real size, 213,000 cells of 0.1 m",
+            Self::Recording => "two weeks of a robot in a corridor with two doors, as ROS 2 records it",
         }
     }
 
@@ -102,6 +107,7 @@ impl Sample {
             Self::Building => building::write(folder, building),
             Self::Home => home::write(folder),
             Self::Grid => grid::write(folder),
+            Self::Recording => recording::write(folder),
         }
     }
 }

@@ -3,7 +3,7 @@
 //! Invariant: each topic is one row, in the order of the recording.
 
 use tidemap_formats::table::Cell;
-use tidemap_recordings::plan::FrameChoice;
+use tidemap_recordings::plan::{FrameChoice, GridUse, TopicPlan};
 
 use super::{Planned, counts::TopicCounts};
 use crate::{commands::Session, progress::status_line};
@@ -44,6 +44,18 @@ fn rows(planned: &Planned) -> impl Iterator<Item = Vec<Cell>> {
     })
 }
 
+/// Whether all that could be observed are scans and clouds, and nothing is known of where they were.
+pub(super) fn is_all_without_place(planned: &Planned) -> bool {
+    let mut observed = planned.plan.topics.iter().filter(|plan| plan.is_observed());
+    let is_unplaced = |plan: &TopicPlan| {
+        matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))
+            && plan.states.is_empty()
+            && plan.positions.is_empty()
+            && plan.traversals.is_none()
+    };
+    planned.plan.frame.is_none() && observed.all(is_unplaced)
+}
+
 /// Tells what is not in the rows: frames, transforms, times.
 pub(super) fn tell(planned: &Planned) {
     let Planned { surveyed, plan, .. } = planned;
@@ -77,7 +89,9 @@ pub(super) fn tell(planned: &Planned) {
             surveyed.bad_transforms
         ));
     }
-    for topic in surveyed.topics.iter().filter(|topic| topic.unread > 0) {
+    let topics = surveyed.topics.iter().zip(&plan.topics);
+    let used = topics.filter(|(_, plan)| plan.is_observed() || plan.is_transforms).map(|(topic, _)| topic);
+    for topic in used.filter(|topic| topic.unread > 0) {
         let problem = topic.problem.as_deref().unwrap_or_default();
         status_line(&format!("{}: {} messages cannot be read: {problem}", topic.name, topic.unread));
     }
