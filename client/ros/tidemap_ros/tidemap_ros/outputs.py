@@ -18,6 +18,7 @@ from rclpy.node import Node
 from visualization_msgs.msg import MarkerArray
 
 import tidemap
+from tidemap.times import timestamp
 from tidemap_ros import clock_words, graph, health, masks, messages, optional
 from tidemap_ros.arrays import Cells
 from tidemap_ros.charts import Charts, NoMap
@@ -210,7 +211,7 @@ class Outputs:
     def _predicted(self) -> list[dict[str, Any]]:
         nanos = clock_words.nanos(self.map_time, self._now())
         asked = {
-            "map": self._settings.text("map"), "time": tidemap.times.timestamp(nanos),
+            "map": self._settings.text("map"), "time": timestamp(nanos),
             "model": self._settings.text("model"),
         }
         return list(self._link.client.call("RouteService/PredictEdges", asked)["edges"])

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Union
 
+_BEGIN, _END = "<!-- parameters -->", "<!-- end of parameters -->"
+
 Setting = Union[str, bool, int, float, list[str], list[float]]
 
 
@@ -238,3 +240,17 @@ def markdown() -> str:
                 lines.append(f"| `{parameter.name}` | `{shown}` | {parameter.meaning} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def write_into(path: Path) -> None:
+    """Puts the table into a file between its two marks."""
+    text = path.read_text()
+    before, _, rest = text.partition(_BEGIN)
+    _, _, after = rest.partition(_END)
+    path.write_text(f"{before}{_BEGIN}\n\n{markdown()}\n{_END}{after}")
+
+
+if __name__ == "__main__":
+    import sys
+
+    write_into(Path(sys.argv[1]))
