@@ -77,7 +77,8 @@ def between_heights(xyz_m: Points, map_from_sensor: Pose, low_m: float, high_m: 
         return xyz_m
     turn = poses.rotation(map_from_sensor)[2].astype(np.float32)
     heights = xyz_m @ turn + np.float32(map_from_sensor[2])
-    return xyz_m[(heights >= low_m) & (heights <= high_m)]
+    kept: Points = xyz_m[(heights >= low_m) & (heights <= high_m)]
+    return kept
 
 
 def one_in_each_cube(xyz_m: Points, edge_m: float) -> Points:

@@ -187,13 +187,13 @@ def spread(header: dict[str, Any], counts: dict[int, float], region: Region) -> 
         return found
     columns, rows = (int(count) for count in header["counts"][:2])
     edge = float(header["resolution_m"])
-    raster = np.zeros(columns * rows)
-    raster[list(counts)] = list(counts.values())
-    raster = raster.reshape(rows, columns)
+    cells = np.zeros(columns * rows)
+    cells[list(counts)] = list(counts.values())
+    raster = cells.reshape(rows, columns)
     half = region.resolution_m / 2
     at = [
-        np.floor((corner + half + np.arange(cells) * region.resolution_m - float(low)) / edge).astype(np.int64)
-        for corner, cells, low in zip(region.corner_m, (region.width, region.height), header["low_m"])
+        np.floor((corner + half + np.arange(count) * region.resolution_m - float(low)) / edge).astype(np.int64)
+        for corner, count, low in zip(region.corner_m, (region.width, region.height), header["low_m"])
     ]
     inside = [(index >= 0) & (index < size) for index, size in zip(at, (columns, rows))]
     picked = raster[np.ix_(at[1][inside[1]], at[0][inside[0]])]

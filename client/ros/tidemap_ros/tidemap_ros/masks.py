@@ -33,7 +33,8 @@ def speed(values: npt.NDArray[np.floating[Any]], full_at: float, slowest_percent
     """
     most_taken = min(100.0 - slowest_percent, 99.0)
     share = np.clip(np.nan_to_num(values, nan=0.0) / full_at, 0, 1)
-    return np.rint(share * most_taken).astype(np.int8)
+    taken: Cells = np.rint(share * most_taken).astype(np.int8)
+    return taken
 
 
 @dataclass(frozen=True)

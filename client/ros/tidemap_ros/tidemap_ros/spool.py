@@ -68,6 +68,7 @@ class Spool:
         self._lock = threading.Lock()
         self.grown = threading.Condition(self._lock)
         """Notified when a record was appended, or the spool was closed."""
+        self._next = 1
         self.cut_bytes = 0
         """Bytes of a record that was being written when the program or the machine stopped."""
         self._is_unsynced = False
@@ -97,7 +98,6 @@ class Spool:
         """Sequence number of the daemon minus the number of the record; ``None``: the daemon was never reached."""
         self.lost = 0
         """Records that the daemon had acknowledged and no longer has: a backup was restored."""
-        self._next = 1
         path = self.folder / "stream.json"
         try:
             known = json.loads(path.read_text())
