@@ -18,9 +18,9 @@ DOMAIN=77
 say() { echo "ros-test: $*" >&2; }
 skip() { say "SKIPPED: $*"; exit 0; }
 
-python=$(command -v python3.11 || true)
-if [ -z "$python" ]; then
-    python=$(command -v python3)
+python=python3.11
+if ! "$python" -c '' 2>/dev/null; then
+    python=python3
     [ "$("$python" -c 'import sys; print(sys.version_info[:2] == (3, 11))')" = True ] ||
         skip "ROS is on the package index for Python 3.11, and this machine has $("$python" -V)"
 fi

@@ -24,7 +24,7 @@ def yard(client):
 
 
 def value(client, name: str, x_m: float, y_m: float, z_m: float = 0.1) -> float:
-    grid = client.grid(name, NOON + 60 * SECOND)
+    grid = client.grid(name, NOON + 60 * SECOND, model="latest")
     cell = [int(np.floor((at - origin) / grid.resolution_m)) - first
             for at, origin, first in zip((x_m, y_m, z_m), grid.origin_m, grid.first_cell)]
     return float(grid.values[cell[2], cell[1], cell[0]])
@@ -56,7 +56,7 @@ def test_a_grid_keeps_its_size_where_nothing_is_known(client, yard):
     seen[3, 4], seen[3, 5] = 100, 0
     with client.producer(yard, "robot") as robot:
         robot.send_grid(NOON, seen, first_cell=(-2, -3, 0))
-    grid = client.grid(yard, NOON)
+    grid = client.grid(yard, NOON, model="latest")
     assert grid.values.shape == (1, 20, 30) and grid.first_cell == (-2, -3, 0)
     assert grid.values[0, 3, 4] > 0.5 > grid.values[0, 3, 5]
     assert np.isfinite(grid.values).sum() == 2

@@ -148,7 +148,13 @@ class Bench:
         self.client = self.daemon.connect()
 
     def history(self, state: str) -> list[tuple[int, float]]:
-        """The times, in nanoseconds, and the values of a state."""
+        """The times, in nanoseconds, and the values of a state; none before its first."""
+        try:
+            return self._history(state)
+        except tidemap.NotFound:
+            return []
+
+    def _history(self, state: str) -> list[tuple[int, float]]:
         times, values = tidemap._native.history(self.client._native, "office", state, 0, 2**63 - 1)
         return list(zip(times.tolist(), values.tolist()))
 
