@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import LoadMap
 from sensor_msgs.msg import PointCloud2
-from test_node import RELIABLE, SECOND, cloud, last_values
+from test_node import RELIABLE, SECOND, cloud, last_values, values
 
 CLOUDS_FOR_SECS = float(os.environ.get("TIDEMAP_ROS_SECONDS", "10"))
 RATE_HZ = 10
@@ -80,7 +80,10 @@ def test_clouds_of_100_000_points_at_10_hz(bench, peer):
         clouds.publish(message)
         time.sleep(max(0.0, began + (number + 1) / RATE_HZ - time.monotonic()))
     sent = time.monotonic() - began
-    until(lambda: last_values(heard, "daemon").get("records durable") == str(count), "all clouds", 120 + sent)
+    try:
+        until(lambda: last_values(heard, "daemon").get("records durable") == str(count), "all clouds", 120 + sent)
+    finally:
+        print(values(heard[-1]))
     took = time.monotonic() - began
     node_secs, daemon_secs = node.cpu_secs() - node_before, cpu_secs(daemon_pid) - daemon_before
     assert bench.client.map("office")["grid_summary"]["scans"] == count
