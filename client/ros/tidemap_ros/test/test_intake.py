@@ -146,7 +146,8 @@ def test_values_come_as_json(bench):
 @pytest.mark.parametrize("text", [
     "", "[]", "{", '{"state": "door"}', '{"state": 5, "value": 1}', '{"state": "a/b", "value": 1}',
     '{"state": "", "value": 1}', '{"state": "door", "value": "ajarish"}', '{"state": "door", "value": null}',
-    '{"state": "door", "value": NaN}', '{"state": "door", "value": [1]}', '{"state": "door", "value": 1, "stamp": true}',
+    '{"state": "door", "value": NaN}', '{"state": "door", "value": [1]}',
+    '{"state": "door", "value": 1, "stamp": true}',
     '{"state": "door", "value": 1, "stamp": "2026-01-05T12:00:00"}', '{"state": "door", "value": 1, "color": 1}',
     '{"state": "door", "value": 1, "stamp": -5}', '{"state": "door", "value": 1, "stamp": 1e300}', "[" * 60_000,
     '{"state": "door", "value": ' + "9" * 400 + "}",

@@ -202,7 +202,8 @@ def test_records_are_read_back_as_they_were(record):
     assert type(again) is type(record)
     for name, expected in vars(record).items():
         found = getattr(again, name)
-        assert np.array_equal(found, expected, equal_nan=True) if isinstance(expected, np.ndarray) else found == expected
+        is_array = isinstance(expected, np.ndarray)
+        assert np.array_equal(found, expected, equal_nan=True) if is_array else found == expected
     for cut in (0, 3, len(records.encoded(record)) // 2):
         with pytest.raises(records.BadRecord):
             records.decoded(records.encoded(record)[:cut])

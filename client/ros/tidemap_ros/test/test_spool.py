@@ -35,7 +35,7 @@ def test_records_keep_their_numbers_through_restarts(tmp_path):
 def test_what_is_acknowledged_goes_and_its_number_does_not_come_back(tmp_path):
     spool = Spool(tmp_path, 1600)
     spool.linked(0)
-    for value in range(50):
+    for _ in range(50):
         number = spool.append(b"x" * 200)
         spool.acknowledged(number)
     assert number == 50 and spool.bytes < 500

@@ -19,8 +19,8 @@ NOW = 1_767_614_400 * SECOND
 
 
 @pytest.mark.parametrize("words, seconds", [
-    ("now", 0), ("", 0), ("+2h", 7200), ("now+2h", 7200), ("now - 1.5 d", -129_600), ("-30min", -1800), ("+1w", 604_800),
-    ("2026-01-05T12:00:00Z", 0), ("2026-01-05T13:00:00+01:00", 0), ("2026-01-05 12:00:01Z", 1),
+    ("now", 0), ("", 0), ("+2h", 7200), ("now+2h", 7200), ("now - 1.5 d", -129_600), ("-30min", -1800),
+    ("+1w", 604_800), ("2026-01-05T12:00:00Z", 0), ("2026-01-05T13:00:00+01:00", 0), ("2026-01-05 12:00:01Z", 1),
 ])
 def test_times_in_words(words, seconds):
     assert clock_words.nanos(words, NOW) == NOW + seconds * SECOND
@@ -130,7 +130,9 @@ def test_an_aborted_route_failed_on_its_edge_and_a_cancelled_one_says_nothing():
 
 
 def test_statistics_of_topological_navigation_become_traversals():
-    message = Message(origin="hall", target="lab", status="failed", operation_time=12.5, date_started="", date_finished="")
+    message = Message(
+        origin="hall", target="lab", status="failed", operation_time=12.5, date_started="", date_finished=""
+    )
     found = traversals.of_statistics(message, NOW)
     assert found == Traversal("hall", "lab", NOW - int(12.5 * SECOND), NOW, False, "", "failed")
     message.status = "success"

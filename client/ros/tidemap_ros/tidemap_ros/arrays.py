@@ -51,7 +51,8 @@ def points(cloud: Any) -> Points:
     types = {FLOAT32: f"{order}f4", FLOAT64: f"{order}f8"}
     for name in "xyz":
         if fields[name].datatype not in types:
-            raise BadMessage(f"the field {name} of a cloud has the type {fields[name].datatype}, not FLOAT32 or FLOAT64")
+            kind = fields[name].datatype
+            raise BadMessage(f"the field {name} of a cloud has the type {kind}, not FLOAT32 or FLOAT64")
     height, width, step, row = int(cloud.height), int(cloud.width), int(cloud.point_step), int(cloud.row_step)
     if height * width == 0:
         return np.empty((0, 3), dtype=np.float32)
@@ -121,7 +122,8 @@ def in_cells_of_map(
     if turned:
         parts *= 2
     if cells.size * parts * parts > CELLS_MAX:
-        raise BadMessage(f"a grid of {cells.shape} cells of {resolution_m} m is too large for cells of {map_resolution_m} m")
+        shape = " x ".join(map(str, cells.shape))
+        raise BadMessage(f"a grid of {shape} cells of {resolution_m} m is too large for cells of {map_resolution_m} m")
     known_y, known_x = np.nonzero(cells >= 0)
     occupied = cells[known_y, known_x] > 0
     edge = resolution_m / parts

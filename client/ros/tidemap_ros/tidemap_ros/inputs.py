@@ -114,8 +114,8 @@ class Inputs:
             self._ends = self.graph.ends(names)
             if len(self._ends) < len(self.graph.edges):
                 self._node.get_logger().warning(
-                    f"{len(self.graph.edges) - len(self._ends)} of {len(self.graph.edges)} edges of the route graph are "
-                    "none of the topology: give nodes the same names, or raise route_match"
+                    f"{len(self.graph.edges) - len(self._ends)} of {len(self.graph.edges)} edges of the route graph "
+                    "are none of the topology: give nodes the same names, or raise route_match"
                 )
         return self._ends or {}
 

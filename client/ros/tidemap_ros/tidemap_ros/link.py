@@ -1,6 +1,6 @@
 """The daemon, as the node needs it.
 
-Invariant: nothing connects before it is asked for, and a daemon that cannot be reached costs an exception, not the node.
+Invariant: nothing connects before it is asked for. A daemon that cannot be reached costs an exception, not the node.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ class Link:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        credentials: dict[str, Any] = {
-            name: _file(settings, f"{name}_file") for name in ("ca", "certificate", "key") if settings.text(f"{name}_file")
-        }
+        files = [name for name in ("ca", "certificate", "key") if settings.text(f"{name}_file")]
+        credentials: dict[str, Any] = {name: _file(settings, f"{name}_file") for name in files}
         if settings.text("token_file"):
             credentials["token"] = _file(settings, "token_file").decode().strip()
         try:

@@ -130,8 +130,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        node.close()
+        # First nothing arrives any more, then what arrived is put on the disk.
         executor.shutdown(timeout_sec=2.0)
+        node.close()
         node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -202,8 +202,9 @@ class Outputs:
             self._every("topology", settings.number("markers_period"), publish)
         name = settings.text("dynamic_edges")
         if name:
-            kind = optional.found("nav2_msgs.srv", "DynamicEdges", f"{name} is not called", self._node.get_logger().info)
-            cost = optional.found("nav2_msgs.msg", "EdgeCost", f"{name} is not called", self._node.get_logger().info)
+            log = self._node.get_logger().info
+            kind = optional.found("nav2_msgs.srv", "DynamicEdges", f"{name} is not called", log)
+            cost = optional.found("nav2_msgs.msg", "EdgeCost", f"{name} is not called", log)
             if kind is not None and cost is not None:
                 client = self._node.create_client(kind, name, callback_group=MutuallyExclusiveCallbackGroup())
                 self._every("edges", settings.number("edges_period"), lambda: self._reprice(client, kind, cost))

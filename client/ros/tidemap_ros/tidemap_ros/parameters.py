@@ -35,7 +35,9 @@ def _table() -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     group = ""
 
-    def add(name: str, default: Setting, meaning: str, least: float | None = None, choices: tuple[str, ...] = ()) -> None:
+    def add(
+        name: str, default: Setting, meaning: str, least: float | None = None, choices: tuple[str, ...] = ()
+    ) -> None:
         found.append(Parameter(name, default, meaning, group, least, choices))
 
     group = "The daemon and the map"
@@ -47,7 +49,7 @@ def _table() -> tuple[Parameter, ...]:
     add("map", "office", "name of the map")
     add("producer", "", "who observes; empty: the name of this machine. Each robot needs one of its own")
     add("label", "ros", "name of the sequence of this producer")
-    add("map_frame", "map", "tf frame of the map")
+    add("map_frame", "map", "tf frame of the map; the daemon refuses what comes from another frame than its map has")
     add("create_map", False, "whether the node creates the map if the daemon has none of that name")
     add("resolution", 0.05, "of a map that the node creates: edge of a cell, metres", 0.001)
     add("flat", True, "of a map that the node creates: one layer of cells, as a planar scanner sees it")
@@ -67,8 +69,9 @@ def _table() -> tuple[Parameter, ...]:
     add("scan_period", 0.0, "seconds between two scans that are taken from a topic; 0: all", 0)
     add("cloud_period", 0.0, "seconds between two clouds that are taken from a topic; 0: all", 0)
     add("grid_period", 0.0, "seconds between two grids that are taken from a topic; 0: all", 0)
-    add("door_period", 60.0, "seconds between two readings of a door that has not changed; a change is taken at once", 0)
-    add("reliable", False, "whether scans and clouds are asked for again if they got lost; the sender must be reliable, too")
+    add("door_period", 60.0, "seconds between two readings of a door that stays as it is; a change is taken at once", 0)
+    add("reliable", False, "whether scans and clouds are asked for again if they got lost; their sender must be "
+        "reliable, too")
     add("queue_depth", 20, "messages of a topic that wait", 1)
     add("min_range", 0.0, "nearer readings are ignored, metres; those of a scan's own `range_min` always", 0)
     add("max_range", 0.0, "farther readings only show that the way is free up to here, metres; 0: `range_max` of the "
@@ -146,16 +149,18 @@ def checked(name: str, value: Any) -> Setting:
             choices = ", ".join(choice or "an empty text" for choice in known.choices)
             raise BadParameter(f"the parameter {name} is {value!r}: use one of {choices}")
         return value
-    if not isinstance(value, (int, float)) or isinstance(default, int) and value != int(value):
+    if not isinstance(value, (int, float)) or (isinstance(default, int) and value != int(value)):
         raise BadParameter(f"the parameter {name} is {value!r}: use {_kind(default)}")
     number: int | float = int(value) if isinstance(default, int) else float(value)
-    if number != number or known.least is not None and number < known.least:
+    if number != number or (known.least is not None and number < known.least):
         raise BadParameter(f"the parameter {name} is {value!r}: use a number of at least {known.least}")
     return number
 
 
 def _kind(default: Setting) -> str:
-    return "true or false" if isinstance(default, bool) else "a whole number" if isinstance(default, int) else "a number"
+    if isinstance(default, bool):
+        return "true or false"
+    return "a whole number" if isinstance(default, int) else "a number"
 
 
 def _checked_list(known: Parameter, value: Any) -> Setting:
@@ -236,7 +241,7 @@ def markdown() -> str:
         for parameter in TABLE:
             if parameter.group == group:
                 default = str(parameter.default).lower() if isinstance(parameter.default, bool) else parameter.default
-                shown = f'"{default}"' if isinstance(default, str) and default not in ("true", "false") else f"{default}"
+                shown = f'"{default}"' if isinstance(parameter.default, str) else f"{default}"
                 lines.append(f"| `{parameter.name}` | `{shown}` | {parameter.meaning} |")
         lines.append("")
     return "\n".join(lines)

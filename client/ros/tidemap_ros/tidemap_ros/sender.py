@@ -214,8 +214,8 @@ class Sender(threading.Thread):
             seen_nanos = records.time_of(record)
             number = self._hand_over(record)
         except (records.BadRecord, ValueError) as error:
-            # The name of a state has no slash: the daemon refuses it, and the number is used. Where the stream has ended
-            # this raises, too, and the record is kept.
+            # The name of a state has no slash: the daemon refuses it, and the number is used. Where the stream has
+            # ended this raises, too, and the record is kept.
             number = self._producer.send("tidemap_ros/unsendable", max(seen_nanos, 0), 0.0)
             with self._lock:
                 self._state.unsendable += 1

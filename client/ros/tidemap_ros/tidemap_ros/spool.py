@@ -1,9 +1,9 @@
 """What was observed and is not yet on the daemon's disk, in files of this robot.
 
-A folder has segments, ``<number of the first record>.spool``, of records: length, CRC-32, bytes. Records are numbered 1,
-2, 3, … for as long as the folder lives. ``stream.json`` says how those numbers are the sequence numbers of the daemon:
-``number + offset``. Where the folder is full, new records are refused, and the old ones stay: a record whose number may
-be on its way cannot be taken out of the sequence, or the daemon would count another one in its place.
+A folder has segments, ``<number of the first record>.spool``, of records: length, CRC-32, bytes. Records are numbered
+1, 2, 3, … for as long as the folder lives. ``stream.json`` says how those numbers are the sequence numbers of the
+daemon: ``number + offset``. Where the folder is full, new records are refused, and the old ones stay: a record whose
+number may be on its way cannot be taken out of the sequence, or the daemon would count another one in its place.
 
 Invariant: a record that was appended keeps its number, survives the end of this program, and goes only when the daemon
 has acknowledged it. The bytes of all segments never exceed the limit.

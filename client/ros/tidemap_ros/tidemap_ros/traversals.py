@@ -74,7 +74,7 @@ def of_statistics(message: Any, now_nanos: int) -> Traversal | None:
     if start is None:
         start = end - lasted
     success = status == "success"
-    if start > end or success and start == end:
+    if start > end or (success and start == end):
         return None
     return Traversal(origin, target, start, end, success, "", "" if success else status)
 

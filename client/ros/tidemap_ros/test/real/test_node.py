@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import time
 
 import numpy as np
@@ -104,7 +105,8 @@ def week_of_a_door(bench) -> int:
     day = np.arange(14 * 24) % 24
     seen[:, 4, :] = 1
     seen[:, 4, 7] = (day < 8) | (day >= 18)
-    client.observe_grids("office", np.datetime64("2026-01-05T00", "ns") + np.arange(14 * 24) * np.timedelta64(1, "h"), seen)
+    times = np.datetime64("2026-01-05T00", "ns") + np.arange(14 * 24) * np.timedelta64(1, "h")
+    client.observe_grids("office", times, seen)
     client.update("office")
     return int(np.datetime64("2026-01-19T00", "ns").astype(np.int64))
 
@@ -130,17 +132,19 @@ def test_the_map_at_any_time(bench, peer):
     assert at("at noon").result == LoadMap.Response.RESULT_INVALID_MAP_METADATA
     assert at("now?colours").result == LoadMap.Response.RESULT_INVALID_MAP_METADATA
     # Another time while it runs.
-    words = Parameter(name="map_time", value=ParameterValue(type=ParameterType.PARAMETER_STRING,
-                                                           string_value="2026-01-19T03:00:00Z"))
-    assert peer.ask(SetParameters, "/tidemap/set_parameters", SetParameters.Request(parameters=[words])).results[0].successful
+
+    def change(words: str):
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=words)
+        request = SetParameters.Request(parameters=[Parameter(name="map_time", value=value)])
+        return peer.ask(SetParameters, "/tidemap/set_parameters", request).results[0]
+
+    assert change("2026-01-19T03:00:00Z").successful
     until(lambda: cell(heard[-1], 3.75, 2.25) == 100, "the map of the night")
-    words.value.string_value = "at noon"
-    refused = peer.ask(SetParameters, "/tidemap/set_parameters", SetParameters.Request(parameters=[words])).results[0]
+    refused = change("at noon")
     assert not refused.successful and "at noon" in refused.reason
     # The map grows; what is published does not.
-    bench.client.observe_grids(
-        "office", [np.datetime64("2026-01-20T00", "ns")], np.ones((1, 2, 2), np.int8), first_cell=(40, 40, 0), label="far"
-    )
+    later, far = [np.datetime64("2026-01-20T00", "ns")], np.ones((1, 2, 2), np.int8)
+    bench.client.observe_grids("office", later, far, first_cell=(40, 40, 0), label="far")
     count = len(heard)
     until(lambda: len(heard) > count + 1, "another map")
     assert heard[-1].info.width == 20 and len(heard[-1].data) == 320
@@ -219,6 +223,30 @@ def test_a_daemon_that_is_killed_and_away_costs_nothing(bench, peer):
     assert bench.history("door") == rows and last_values(heard, "daemon")["level"] == "0"
 
 
+def test_a_daemon_that_no_longer_answers_costs_nothing(bench, peer):
+    bench.client.create_map("office")
+    bench.node()
+    observe = peer.publisher(String, "/tidemap/observe")
+    heard = peer.heard(DiagnosticArray, "/diagnostics", RELIABLE)
+    rows = observed(300)
+    say(observe, rows[:100])
+    until(lambda: last_values(heard, "daemon").get("records durable") == "100", "the first hundred")
+    # As when the network is away: nothing is refused, and nothing is answered.
+    process = bench.daemon._process
+    process.send_signal(signal.SIGSTOP)
+    try:
+        say(observe, rows[100:200])
+        until(lambda: last_values(heard, "daemon")["level"] == "2", "an error in diagnostics", 90)
+        assert last_values(heard, "daemon")["records waiting"] == "100"
+        assert float(last_values(heard, "daemon")["oldest waits for seconds"]) > 0
+    finally:
+        process.send_signal(signal.SIGCONT)
+    say(observe, rows[200:])
+    until(lambda: len(bench.history("door")) >= 300, "all observations", 90)
+    until(lambda: last_values(heard, "daemon")["records waiting"] == "0", "no record that waits", 90)
+    assert bench.history("door") == rows
+
+
 def test_a_node_that_is_killed_sends_the_rest_when_it_comes_back(bench, peer):
     bench.client.create_map("office")
     node = bench.node()
@@ -254,9 +282,10 @@ def test_a_full_spool_is_told_and_the_oldest_are_kept(bench, peer):
         time.sleep(0.02)
     lost = "observations lost because it was full"
     until(lambda: int(last_values(heard, "spool").get(lost, 0)) > 0, "lost ones in diagnostics")
-    until(lambda: int(last_values(heard, "spool")[lost]) + int(last_values(heard, "observations")["taken"]) == 20, "all")
+    taken_now = lambda: int(last_values(heard, "observations")["taken"])  # noqa: E731
+    until(lambda: int(last_values(heard, "spool")[lost]) + taken_now() == 20, "all")
     assert last_values(heard, "spool")["level"] == "2"
-    taken = int(last_values(heard, "observations")["taken"])
+    taken = taken_now()
     assert taken >= 4
     bench.daemon_again()
     until(lambda: bench.client.map("office")["grid_summary"]["scans"] == taken, "what was kept", 90)
@@ -276,7 +305,8 @@ def test_wrong_words_are_told_and_stop_nothing(bench, peer):
 
 
 @pytest.mark.parametrize("parameters, words", [
-    ({"map_time": "at noon"}, "at noon"), ({"map_output": "colours"}, "map_output"), ({"map_period": -1.0}, "map_period"),
+    ({"map_time": "at noon"}, "at noon"), ({"map_output": "colours"}, "map_output"),
+    ({"map_period": -1.0}, "map_period"),
 ])
 def test_wrong_parameters_end_the_node_with_a_word(bench, peer, parameters, words):
     node = bench.node(**parameters)
