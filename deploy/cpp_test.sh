@@ -35,7 +35,7 @@ expect() {
     fi
 }
 
-answers=("door at noon open, at night closed" "map: 333 known cells of 0.5 m" "route: hall -> lab -> office")
+answers=("door at noon open, at night closed" "map: 345 known cells of 0.5 m" "route: hall -> lab -> office")
 expect "observations: 2016 durable, 0 of them before, 0 refused" "${answers[@]}"
 expect "observations: 2016 durable, 2016 of them before, 0 refused" "${answers[@]}"
 echo "cpp-test: passed"

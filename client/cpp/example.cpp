@@ -373,6 +373,8 @@ void ask_for_route(const std::shared_ptr<grpc::Channel>& channel, const std::str
   request.set_map(map);
   request.set_from("hall");
   request.set_to("office");
+  request.set_objective(wire::ROUTE_OBJECTIVE_TIME);
+  request.set_recovery_secs(0.0);
   *request.mutable_depart_time() = timestamp(kMonday + 15 * 24 * kHour);
   wire::PlanRouteResponse response;
   grpc::ClientContext context;
