@@ -1,6 +1,8 @@
 // A client in C++: streams observations and takes acknowledgements, then asks for a map and a route.
 //
-//   example HOST:PORT
+//   example HOST:PORT [PAUSE_MS]
+//
+// With a pause it observes slowly, so that the daemon can be stopped and started meanwhile.
 //
 // Invariant: an observation is kept until the daemon has acknowledged it. After a broken connection the stream goes on
 // behind what the daemon has, so that each observation counts once.
@@ -257,7 +259,7 @@ void make_map(const std::shared_ptr<grpc::Channel>& channel, const std::string& 
 }
 
 // Streams two weeks of a door; what the daemon has is not sent again.
-void observe(const std::shared_ptr<grpc::Channel>& channel, const std::string& map) {
+void observe(const std::shared_ptr<grpc::Channel>& channel, const std::string& map, std::chrono::milliseconds pause) {
   Producer producer(channel, map, "robot-cpp", "doors");
   const uint64_t rows = 14 * 24 * 6;
   const uint64_t first = producer.next();
@@ -267,6 +269,7 @@ void observe(const std::shared_ptr<grpc::Channel>& channel, const std::string& m
     producer.give({"door", time_nanos, hour >= 8 && hour < 18 ? 1.0 : 0.0});
     if (number % 500 == 0) {
       producer.flush();
+      std::this_thread::sleep_for(pause);
     }
   }
   producer.close();
@@ -392,15 +395,16 @@ void ask_for_route(const std::shared_ptr<grpc::Channel>& channel, const std::str
 }  // namespace
 
 int main(int count, char** arguments) {
-  if (count != 2) {
-    std::cerr << "usage: example HOST:PORT\n";
+  if (count != 2 && count != 3) {
+    std::cerr << "usage: example HOST:PORT [PAUSE_MS]\n";
     return 2;
   }
   try {
+    const std::chrono::milliseconds pause(count == 3 ? std::stoi(arguments[2]) : 0);
     const auto channel = grpc::CreateChannel(arguments[1], grpc::InsecureChannelCredentials());
     const std::string map = "cpp";
     make_map(channel, map);
-    observe(channel, map);
+    observe(channel, map, pause);
     scan(channel, map);
     learn(channel, map);
     predict(channel, map);
