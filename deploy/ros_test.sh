@@ -8,7 +8,8 @@
 #
 # ROS comes from the Python package index, with versions and hashes of deploy/ros_requirements.txt, for Python 3.11. As
 # root the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
-# of its own. What cannot be had is skipped, and a line says so.
+# of its own. What cannot be had is skipped, and a line says so. The node for ROS 1 is tested where Debian's ROS is
+# installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -44,7 +45,8 @@ run=$PWD/$environment/bin
 export PYTHONPATH=$package PYTHONDONTWRITEBYTECODE=1 RMW_IMPLEMENTATION=rmw_fastrtps_cpp ROS_DOMAIN_ID=$DOMAIN
 export ROS_LOG_DIR=$PWD/target/ros/log
 cd target/ros
-"$run/python" -m pytest -q -p no:cacheprovider "$package/test" --ignore "$package/test/real"
+"$run/python" -m pytest -q -p no:cacheprovider "$package/test" --ignore "$package/test/real" \
+    --ignore "$package/test/real1"
 "$run/mypy" --strict --config-file "$package/mypy.ini" --cache-dir mypy -p tidemap_ros
 
 apart=()
@@ -60,4 +62,16 @@ else
     export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 fi
 "${apart[@]}" "$run/python" -m pytest -q -p no:cacheprovider -s "$package/test/real" "$@"
+
+# ROS 1 as Debian has it, for Debian's Python.
+if ! /usr/bin/python3 -c 'import rospy, rosmaster, tf2_msgs, nav_msgs, sensor_msgs, numpy, venv, ensurepip' 2>/dev/null; then
+    say "SKIPPED: the node for ROS 1 needs Debian's python3-rospy, python3-rosmaster, python3-tf2-msgs," \
+        "python3-nav-msgs, python3-sensor-msgs, python3-diagnostic-msgs, python3-numpy and python3-venv"
+else
+    rm -rf ros1
+    /usr/bin/python3 -m venv --system-site-packages ros1
+    ros1/bin/pip install --quiet --disable-pip-version-check --no-deps ../wheels/tidemap-*.whl
+    ros1/bin/pip install --quiet --disable-pip-version-check pytest
+    "${apart[@]}" ros1/bin/python -m pytest -q -p no:cacheprovider "$package/test/real1"
+fi
 say passed

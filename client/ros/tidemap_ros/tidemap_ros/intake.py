@@ -53,7 +53,9 @@ class _Waiting:
 
 
 def stamp_nanos(stamp: Any) -> int:
-    """A time of ``builtin_interfaces`` in nanoseconds."""
+    """A time of ``builtin_interfaces``, or of ROS 1, in nanoseconds."""
+    if hasattr(stamp, "secs"):
+        return int(stamp.secs) * 1_000_000_000 + int(stamp.nsecs)
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
