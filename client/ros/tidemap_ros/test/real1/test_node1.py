@@ -76,7 +76,8 @@ class Bench:
             "server": self.server, "map": "office", "producer": "robot", "spool_dir": str(self.folder / "spool"),
             "diagnostics_period": 0.2, "map_period": 1.0, **parameters,
         }
-        words = [f"_{name}:={json.dumps(value) if not isinstance(value, str) else value}" for name, value in known.items()]
+        shown = {name: value if isinstance(value, str) else json.dumps(value) for name, value in known.items()}
+        words = [f"_{name}:={value}" for name, value in shown.items()]
         with (self.folder / "node.log").open("ab") as log:
             self.node = subprocess.Popen([sys.executable, "-m", "tidemap_ros.node1", *words], stdout=log, stderr=log)
 
