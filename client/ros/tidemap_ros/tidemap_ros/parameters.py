@@ -165,6 +165,8 @@ def _kind(default: Setting) -> str:
 
 def _checked_list(known: Parameter, value: Any) -> Setting:
     items = [value] if isinstance(value, str) else list(value) if value is not None else []
+    # An empty list cannot be written in every launch file; [""] can.
+    items = [item for item in items if item != ""]
     if known.name in ("map_region", "map_heights"):
         count = 4 if known.name == "map_region" else 2
         if len(items) not in (0, count) or any(isinstance(item, (str, bool)) for item in items):
@@ -175,8 +177,7 @@ def _checked_list(known: Parameter, value: Any) -> Setting:
         return numbers
     if any(not isinstance(item, str) for item in items):
         raise BadParameter(f"the parameter {known.name} is {items!r}: use texts")
-    # An empty list cannot be written in every launch file; [""] can.
-    return [item for item in items if item]
+    return items
 
 
 class Settings:

@@ -194,6 +194,35 @@ def test_masks(bench, peer):
     assert set(keepout[-1].data) == {0, 100} and 0 <= min(speed[-1].data) and max(speed[-1].data) <= 80
 
 
+@pytest.mark.parametrize("heights, high", [([], 100), ([0.0, 1.5], 0)])
+def test_a_map_in_three_dimensions_shows_the_heights_that_count(bench, peer, heights, high):
+    bench.node(create_map=True, resolution=0.5, flat=False, cloud_topics=["/points"], map_heights=heights)
+    clouds = peer.publisher(PointCloud2, "/points")
+    # A box on the floor, and a lamp above a way that was seen to be free.
+    points = np.array([[3.2, 0.2, 0.2], [0.2, 3.2, 2.2], [0.2, 6.2, 0.2], [np.nan, 0, 0]], dtype=np.float32)
+    clouds.publish(cloud(points, time.time_ns()))
+    heard = peer.heard(OccupancyGrid, "/map")
+    shown = until(lambda: heard and heard[-1], "a map")
+    assert cell(shown, 3.2, 0.2) == 100 and cell(shown, 1.2, 0.2) == 0 and cell(shown, 0.2, 3.2) == high
+
+
+def test_people_slow_robots_down_where_they_are_expected(bench, peer):
+    bench.client.create_map("office", grid_resolution_m=0.5, grid={"flat": True})
+    times = np.datetime64("2026-01-05T00", "ns") + np.arange(14 * 48) * np.timedelta64(30, "m")
+    # Every half hour somebody walks by at x = 3, y = 2; by day only.
+    times = times[np.arange(14 * 48) % 48 >= 24]
+    for state, place in (("people", [3.2, 2.2]), ("people_velocity", [1.0, 0.0])):
+        bench.client.observe("office", states=state, times=times, values=np.tile(place, (len(times), 1)), label=state)
+    floor = np.zeros((1, 10, 20), dtype=np.int8)
+    bench.client.observe_grids("office", times[:1], floor)
+    bench.client.update("office")
+    bench.node(map_time="2026-01-19T18:00:00Z", speed_source="people", speed_full_at=0.1, mask_period=1.0)
+    heard = peer.heard(OccupancyGrid, "/tidemap/speed_mask")
+    mask = until(lambda: heard and heard[-1], "a mask")
+    assert (mask.info.width, mask.info.height) == (20, 10)
+    assert cell(mask, 3.2, 2.2) > 40 and cell(mask, 8.2, 2.2) == 0
+
+
 def observed(count: int, first: int = 0) -> list[tuple[int, float]]:
     """Times and values that are all different."""
     return [((1_767_614_400 + number) * SECOND, float(number % 2)) for number in range(first, first + count)]
