@@ -140,6 +140,44 @@ def test_a_copy_of_an_older_folder_does_not_use_numbers_twice(tmp_path):
     assert spool.append(b"new") + spool.offset == 10
 
 
+def test_records_that_a_power_cut_took_do_not_hide_new_ones(tmp_path):
+    spool = Spool(tmp_path, MEGABYTE)
+    spool.linked(0)
+    for raw in (b"one", b"two", b"three"):
+        spool.append(raw)
+    spool.close()
+    # The daemon has all three; the disk has lost the last.
+    path = next(tmp_path.glob("*.spool"))
+    os.truncate(path, path.stat().st_size - 1)
+    again = Spool(tmp_path, MEGABYTE)
+    number = again.append(b"new")
+    assert number == 3
+    # Ended before the daemon was reached: another start.
+    again.close()
+    again = Spool(tmp_path, MEGABYTE)
+    again.linked(3)
+    assert number + again.offset == 4 and again.read(None, number)[0] == b"new"
+    # And so it stays.
+    again.close()
+    last = Spool(tmp_path, MEGABYTE)
+    last.linked(3)
+    assert (number + last.offset, last.read(None, number)[0]) == (4, b"new")
+
+
+def test_a_closed_spool_changes_nothing(tmp_path):
+    spool = Spool(tmp_path, MEGABYTE)
+    spool.linked(0)
+    spool.append(b"one")
+    spool.close()
+    for call in (lambda: spool.append(b"two"), lambda: spool.linked(0)):
+        with pytest.raises(SpoolError, match="closed"):
+            call()
+    spool.acknowledged(1)
+    assert spool.read(None, 1) is None
+    again = Spool(tmp_path, MEGABYTE)
+    assert (again.offset, everything(again)) == (0, {1: b"one"})
+
+
 def test_kill_9_loses_nothing_that_was_appended(tmp_path):
     program = (
         "import sys, os; from tidemap_ros.spool import Spool\n"

@@ -69,6 +69,8 @@ class Spool:
         self.grown = threading.Condition(self._lock)
         """Notified when a record was appended, or the spool was closed."""
         self._next = 1
+        self._recovered: int | None = None
+        """Number of the last record that was found at the start; ``None`` once the daemon was reached."""
         self.cut_bytes = 0
         """Bytes of a record that was being written when the program or the machine stopped."""
         self._is_unsynced = False
@@ -90,6 +92,9 @@ class Spool:
         for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
             self._adopt(path)
         self._next = max(self._next, self._segments[-1].last + 1 if self._segments else 1)
+        # A start that never reached the daemon has added records; what counts is what the first of them found.
+        self._recovered = self._next - 1 if self._recovered is None else min(self._recovered, self._next - 1)
+        self._write_stream()
 
     # How numbers are sequence numbers of the daemon
 
@@ -102,6 +107,7 @@ class Spool:
         try:
             known = json.loads(path.read_text())
             self.offset, self.lost, self._next = known["offset"], int(known["lost"]), int(known["next"])
+            self._recovered = known["recovered"]
         except FileNotFoundError:
             return
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -111,7 +117,8 @@ class Spool:
         path = self.folder / "stream.json"
         fresh = path.with_suffix(".new")
         with fresh.open("w") as file:
-            json.dump({"offset": self.offset, "lost": self.lost, "next": self._next}, file)
+            known = {"offset": self.offset, "lost": self.lost, "next": self._next, "recovered": self._recovered}
+            json.dump(known, file)
             file.flush()
             os.fsync(file.fileno())
         fresh.rename(path)
@@ -131,16 +138,22 @@ class Spool:
         record never gets two.
         """
         with self._lock:
-            first, following = self._first(), self._next
+            if self._is_closed:
+                raise SpoolError(f"the spool {self.folder} is closed")
+            first = self._first()
+            # After a power cut the daemon may have records that this disk has lost. What was appended since has their
+            # numbers, but is not what the daemon has.
+            last = self._next - 1 if self._recovered is None else self._recovered
+            self._recovered = None
             if self.offset is None:
                 # Never sent: what the daemon has is of another folder of this producer.
                 self.offset = durable_sequence - (first - 1)
             elif durable_sequence < first - 1 + self.offset:
                 self.lost += first - 1 + self.offset - durable_sequence
                 self.offset = durable_sequence - (first - 1)
-            elif durable_sequence > following - 1 + self.offset:
+            elif durable_sequence > last + self.offset:
                 # This folder is older than what was sent, such as a copy: new records come behind.
-                self.offset = durable_sequence - (following - 1)
+                self.offset = durable_sequence - last
             self._write_stream()
             self._forget(durable_sequence - self.offset)
 
@@ -221,20 +234,23 @@ class Spool:
     def sync(self) -> None:
         """Everything appended so far survives a power cut from here on."""
         with self._lock:
-            if not self._is_unsynced or not self._segments:
+            if not self._is_unsynced or not self._segments or self._is_closed:
                 return
             self._is_unsynced = False
             # Of its own, so that appending and forgetting go on meanwhile.
             descriptor = os.dup(self._segments[-1].descriptor)
         try:
             os.fdatasync(descriptor)
+        except OSError:
+            self._is_unsynced = True
+            raise
         finally:
             os.close(descriptor)
 
     def acknowledged(self, sequence: int) -> None:
         """The daemon has everything up to this sequence number."""
         with self._lock:
-            if self.offset is not None:
+            if self.offset is not None and not self._is_closed:
                 self._forget(sequence - self.offset)
 
     def _forget(self, number: int) -> None:
