@@ -69,10 +69,28 @@ def test_heights_are_those_of_the_map():
     assert len(arrays.between_heights(points, lying, -math.inf, math.inf)) == 3
 
 
-def test_one_point_is_kept_in_each_cube():
+def test_one_point_is_kept_in_each_cell_of_the_map():
     points = np.array([[0.01, 0, 0], [0.04, 0.01, 0], [-0.01, 0, 0], [0.06, 0, 0]], dtype=np.float32)
-    assert arrays.one_in_each_cube(points, 0.05).tolist() == points[[0, 2, 3]].tolist()
-    assert len(arrays.one_in_each_cube(points, 0)) == 4
+    here = poses.IDENTITY
+    assert arrays.one_in_each_cell(points, here, 0.05).tolist() == points[[0, 2, 3]].tolist()
+    # Cells begin elsewhere: the first three lie in one.
+    assert arrays.one_in_each_cell(points, here, 0.06, (0.05, 0, 0)).tolist() == points[[0, 3]].tolist()
+    assert len(arrays.one_in_each_cell(points[:0], here, 0.05)) == 0
+
+
+@pytest.mark.parametrize("table", [1, 1 << 25])
+def test_the_same_cells_are_occupied_as_with_all_points(monkeypatch, table):
+    monkeypatch.setattr(arrays, "TABLE_CELLS_MAX", table)
+    chance = np.random.default_rng(7)
+    points = chance.normal(scale=2, size=(5000, 3)).astype(np.float32)
+    pose = poses.pose(*chance.normal(size=7))
+    kept = arrays.one_in_each_cell(points, pose, 0.3, (0.1, -0.2, 0.05))
+
+    def cells(xyz_m) -> set[tuple[int, ...]]:
+        found = np.floor((poses.applied(pose, xyz_m) - np.array([0.1, -0.2, 0.05])) / 0.3).astype(int)
+        return set(map(tuple, found.tolist()))
+
+    assert cells(kept) == cells(points) and len(kept) == len(cells(points)) < 5000
 
 
 def test_ranges_that_are_too_near_are_no_readings():

@@ -122,7 +122,7 @@ def cloud(points, at: int = NOW):
 
 
 def test_clouds_keep_the_points_between_the_heights(tmp_path):
-    bench = Bench(tmp_path, cloud_min_height=0.1, cloud_max_height=1.8, cloud_cube=0.5)
+    bench = Bench(tmp_path, cloud_min_height=0.1, cloud_max_height=1.8, cloud_cell=0.5)
     bench.intake.cloud("points", cloud([[1, 0, 0], [1, 0, 1], [1.1, 0, 1], [1, 0, 2]]))
     bench.intake.cloud("points", cloud([[1, 0, 0]]))
     bench.intake.cloud("points", cloud([]))

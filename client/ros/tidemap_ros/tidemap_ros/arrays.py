@@ -24,6 +24,7 @@ Cells = npt.NDArray[np.int8]
 FLOAT32, FLOAT64 = 7, 8
 """The numbers of the types in ``sensor_msgs/PointField``."""
 OCCUPIED_PERCENT = 50
+TABLE_CELLS_MAX = 1 << 25
 CELLS_MAX = 1 << 26
 """Most cells of one grid, 8,192 by 8,192."""
 
@@ -82,14 +83,35 @@ def between_heights(xyz_m: Points, map_from_sensor: Pose, low_m: float, high_m: 
     return kept
 
 
-def one_in_each_cube(xyz_m: Points, edge_m: float) -> Points:
-    """The first point in each cube of this edge; 0: all points."""
-    if edge_m <= 0 or len(xyz_m) == 0:
+def one_in_each_cell(
+    xyz_m: Points, map_from_sensor: Pose, edge_m: float, origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Points:
+    """The first point in each cell of this edge, in the map, whose cells begin at ``origin_m``.
+
+    With the cells of the map the same cells are occupied as with all points, and fewer rays show that the way is free.
+    """
+    if len(xyz_m) == 0:
         return xyz_m
-    cubes = np.floor(xyz_m / edge_m).astype(np.int64) & 0x1F_FFFF
-    keys = cubes[:, 0] << 42 | cubes[:, 1] << 21 | cubes[:, 2]
-    _, first = np.unique(keys, return_index=True)
-    return xyz_m[np.sort(first)]
+    # By axes: several times as fast as by rows.
+    x, y, z = (xyz_m[:, axis].astype(np.float64) for axis in range(3))
+    flat, whole = np.zeros(len(xyz_m), dtype=np.int64), 1
+    for row, shift, origin in zip(poses.rotation(map_from_sensor), map_from_sensor[:3], origin_m):
+        cells = np.floor((row[0] * x + row[1] * y + row[2] * z + (shift - origin)) / edge_m)
+        low, size = cells.min(), int(cells.max() - cells.min()) + 1
+        whole *= size
+        if whole >= 2**63:
+            return xyz_m
+        flat *= size
+        flat += (cells - low).astype(np.int64)
+    if whole > TABLE_CELLS_MAX:
+        _, first = np.unique(flat, return_index=True)
+        return xyz_m[np.sort(first)]
+    numbers = np.arange(len(flat), dtype=np.int32)
+    # Only what is written here is read: of several points of a cell the first one stays.
+    table = np.empty(whole, dtype=np.int32)
+    table[flat[::-1]] = numbers[::-1]
+    kept: Points = xyz_m[table[flat] == numbers]
+    return kept
 
 
 def seen_cells(grid: Any) -> Cells:

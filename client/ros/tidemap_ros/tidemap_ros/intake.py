@@ -20,6 +20,7 @@ from tidemap import frames
 from tidemap_ros import arrays, clock_words, poses, records
 from tidemap_ros.parameters import Settings
 from tidemap_ros.poses import BadPose, Pose
+from tidemap_ros.sender import MapGrid
 from tidemap_ros.spool import Full, Spool
 from tidemap_ros.transforms import NotYet, NoTransform, Transforms
 
@@ -77,6 +78,8 @@ class Intake:
         self._clock = clock
         self._monotonic = monotonic
         self._log = log
+        self.grid_of_map: Callable[[], MapGrid | None] = lambda: None
+        """The grid of the map, once the daemon has told it."""
         self._lock = threading.RLock()
         self._counts = Counts()
         self._waiting: deque[_Waiting] = deque()
@@ -145,7 +148,7 @@ class Intake:
 
         def made(pose: Pose) -> records.Record | None:
             kept = points if whole else arrays.between_heights(points, pose, *heights)
-            kept = arrays.one_in_each_cube(kept, settings.number("cloud_cube"))
+            kept = self._thinned(kept, pose)
             if len(kept) == 0:
                 self._left_out("empty", f"a cloud of {topic} without a point that counts")
                 return None
@@ -153,6 +156,14 @@ class Intake:
             return records.Cloud(stamp, pose, settings.text("map_frame"), low, high, kept)
 
         self._placed(message, stamp, made)
+
+    def _thinned(self, points: arrays.Points, pose: Pose) -> arrays.Points:
+        """One point for each cell of the map, or as the parameter ``cloud_cell`` says."""
+        edge, grid = self._settings.number("cloud_cell"), self.grid_of_map()
+        if edge < 0 or (edge == 0 and grid is None):
+            return points
+        origin = (0.0, 0.0, 0.0) if grid is None else grid.origin_m
+        return arrays.one_in_each_cell(points, pose, edge or (grid.resolution_m if grid is not None else edge), origin)
 
     def grid(self, topic: str, message: Any) -> None:
         """A ``nav_msgs/OccupancyGrid``."""

@@ -57,9 +57,10 @@ class TidemapNode(Node):  # type: ignore[misc]
         self._intake = Intake(
             settings, spool, transforms, lambda: int(self.get_clock().now().nanoseconds), time.monotonic, log
         )
-        self._sender = Sender(
+        self._sender = sender = Sender(
             spool, self._link.open_producer, self._link.grid_of_map, settings.number("spool_sync_seconds"), log
         )
+        self._intake.grid_of_map = lambda: sender.grid
         inputs = Inputs(self, settings, self._intake, self._link)
         self._outputs = Outputs(self, settings, self._link, inputs)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)

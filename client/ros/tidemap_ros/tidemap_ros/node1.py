@@ -53,6 +53,7 @@ class Node:
             self._spool, self._link.open_producer, self._link.grid_of_map, settings.number("spool_sync_seconds"),
             rospy.logwarn,
         )
+        self._intake.grid_of_map = lambda: self._sender.grid
         self._charts = Charts(settings, lambda: self._link.client)
         self._map_error: str | None = None
         self._maps = 0

@@ -78,7 +78,8 @@ def _table() -> tuple[Parameter, ...]:
         "scan, and of clouds the limit of the daemon", 0)
     add("cloud_min_height", -1e9, "points of clouds below this height in the map are left out, metres")
     add("cloud_max_height", 1e9, "points of clouds above this height in the map are left out, metres")
-    add("cloud_cube", 0.0, "one point is kept in each cube of this edge, metres; 0: all points", 0)
+    add("cloud_cell", 0.0, "of the points of a cloud in a cube of this edge one is sent, metres; 0: in a cell of the "
+        "map, so that the same cells are occupied; negative: all points")
 
     group = "tf"
     add("tf_wait", 1.0, "seconds that an observation waits for its transform before it is left out, and counted", 0)

@@ -92,6 +92,11 @@ class Sender(threading.Thread):
     # What others see
 
     @property
+    def grid(self) -> MapGrid | None:
+        """The grid of the map; ``None`` before the daemon was reached, or if the map has none."""
+        return self._grid
+
+    @property
     def state(self) -> SenderState:
         """What became of what was seen, until now."""
         with self._lock:

@@ -94,7 +94,10 @@ class Spool:
         self._next = max(self._next, self._segments[-1].last + 1 if self._segments else 1)
         # A start that never reached the daemon has added records; what counts is what the first of them found.
         self._recovered = self._next - 1 if self._recovered is None else min(self._recovered, self._next - 1)
-        self._write_stream()
+        try:
+            self._write_stream()
+        except OSError as error:
+            raise SpoolError(f"the spool {self.folder} cannot be written: {error}") from None
 
     # How numbers are sequence numbers of the daemon
 
