@@ -56,7 +56,10 @@ def test_a_large_map_for_a_late_joiner_and_at_another_time(bench, peer):
 def test_clouds_of_100_000_points_at_10_hz(bench, peer):
     bench.client.create_map("office", grid_resolution_m=0.1, grid={"extent": {
         "min_x": -300, "min_y": -300, "min_z": -20, "max_x": 300, "max_y": 300, "max_z": 60}})
-    node = bench.node(cloud_topics=["/points"], scan_topics=[""], map_topic="", markers_topic="", max_range=25.0)
+    node = bench.node(
+        cloud_topics=["/points"], scan_topics=[""], map_topic="", markers_topic="", max_range=25.0,
+        spool_megabytes=8000,
+    )
     clouds = peer.publisher(PointCloud2, "/points")
     heard = peer.heard(DiagnosticArray, "/diagnostics", RELIABLE)
     until(lambda: last_values(heard, "daemon").get("level") == "0", "a connection")
@@ -81,7 +84,7 @@ def test_clouds_of_100_000_points_at_10_hz(bench, peer):
         time.sleep(max(0.0, began + (number + 1) / RATE_HZ - time.monotonic()))
     sent = time.monotonic() - began
     try:
-        until(lambda: last_values(heard, "daemon").get("records durable") == str(count), "all clouds", 120 + sent)
+        until(lambda: last_values(heard, "daemon").get("records durable") == str(count), "all clouds", 120 + 2 * sent)
     finally:
         print(values(heard[-1]))
     took = time.monotonic() - began
