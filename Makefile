@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis foxglove api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
+.PHONY: help build texts schemathesis foxglove api-page palette web web-check demo cluster-demo test wheel python ros-test cpp-test docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -106,6 +106,16 @@ wheel:
 ## python: the wheel, and its tests with each of PYTHONS (default: python3)
 python: wheel
 	@$(ENV); deploy/python.sh $(PYTHONS)
+
+## ros-test: the wheel, and the package for ROS 2 with real ROS and a real daemon; the node's network is its own as root
+ros-test: wheel
+	@$(ENV); deploy/ros_test.sh
+
+## cpp-test: builds the example of client/cpp with Debian's gRPC, and runs it against a real daemon
+cpp-test:
+	@$(SETUP) cpp
+	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins
+	@$(ENV); deploy/cpp_test.sh "$${CARGO_TARGET_DIR:-target}/debug/tidemapd"
 
 ## docs: the guide, as pages of HTML in target/docs
 docs:

@@ -2,10 +2,11 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|cluster|docs|lint|web|deb|fuzz|python]
+#   deploy/setup.sh [test|cluster|docs|lint|web|deb|fuzz|python|cpp]
 #                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node, Chromium,
 #                                 promtool and nats-server; `cluster` adds nats-server, ip and mount; `web` adds Node,
-#                                 for the page; `python` adds Python with its environments; `docs` adds mdbook, `deb`
+#                                 for the page; `python` adds Python with its environments; `cpp`
+#                                 adds CMake and gRPC for C++; `docs` adds mdbook, `deb`
 #                                 cargo-deb and `fuzz` cargo-fuzz, in target/tools; `lint` adds cargo-deny there, as a
 #                                 program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
@@ -155,6 +156,13 @@ if [ "$goal" = python ]; then
     python3 -c 'import ensurepip, venv' 2>/dev/null || install python3 python3-venv ||
         fail "Python is missing: install python3 and python3-venv (needs root or sudo, and apt-get)"
     have strip || install binutils || fail "binutils is missing: install it (needs root or sudo)"
+fi
+
+# --- what builds the example in C++ ---------------------------------------------------------------------------------
+if [ "$goal" = cpp ] && ! { have cmake && have protoc && have grpc_cpp_plugin && have pkg-config && have c++ &&
+    pkg-config --exists grpc++; }; then
+    install cmake g++ make pkg-config libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc ||
+        say "gRPC for C++ could not be had; the example in C++ is skipped"
 fi
 
 # --- what makes the Debian package ----------------------------------------------------------------------------------

@@ -5,6 +5,7 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, PoisonError},
+    time::Duration,
 };
 
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, ndarray::Array2};
@@ -19,6 +20,7 @@ use tidemap_client::{
 use crate::{
     failure, grids,
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
+    open_producer::OpenProducer,
     reports::SaidReporting,
     rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
@@ -56,14 +58,7 @@ struct PredictedRow {
 impl PredictedRow {
     fn new(name: String, times: usize) -> Self {
         let empty = || vec![f64::NAN; times];
-        Self {
-            name,
-            values: empty(),
-            lower: empty(),
-            upper: empty(),
-            entropies: empty(),
-            behind: Evidence::default(),
-        }
+        Self { name, values: empty(), lower: empty(), upper: empty(), entropies: empty(), behind: Evidence::default() }
     }
 
     fn put(&mut self, run: &PredictionRun) {
@@ -79,7 +74,7 @@ impl PredictedRow {
 }
 
 /// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
-type Driven = (String, String, String, i64, i64, bool, String);
+pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
 
 /// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
 type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);
@@ -391,7 +386,8 @@ impl NativeClient {
     }
 
     /// A producer that stays open, for observations as they come.
-    #[pyo3(signature = (map, producer, label, kind=None, reporting=None))]
+    #[pyo3(signature = (map, producer, label, kind=None, reporting=None, patience_secs=60.0))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn open_producer(
         &self,
         py: Python<'_>,
@@ -400,58 +396,16 @@ impl NativeClient {
         label: &str,
         kind: Option<&str>,
         reporting: Option<SaidReporting>,
+        patience_secs: f64,
     ) -> PyResult<OpenProducer> {
         let (kind, reporting) = states_of(py, kind, reporting)?;
-        let options = ProducerOptions { kind, reporting, ..ProducerOptions::new(producer, label, map) };
+        let Ok(patience) = Duration::try_from_secs_f64(patience_secs) else {
+            return Err(failure::invalid(py, &format!("a patience of {patience_secs} s: use 0 or more seconds")));
+        };
+        let options = ProducerOptions { kind, reporting, patience, ..ProducerOptions::new(producer, label, map) };
         let client = self.client.clone();
         let opened = wait(py, async move { Producer::open(&client, options).await }, |_| Ok(()))?;
         let producer = opened.map_err(|error| failure::producer(py, &error))?;
-        Ok(OpenProducer { producer: Arc::new(tokio::sync::Mutex::new(Some(producer))) })
-    }
-}
-
-/// A producer for observations as they come; what it has taken is sent in the background.
-#[pyclass(frozen)]
-pub(crate) struct OpenProducer {
-    producer: Arc<tokio::sync::Mutex<Option<Producer>>>,
-}
-
-#[pymethods]
-impl OpenProducer {
-    /// Takes an observation and returns its number; it is durable after `flush`.
-    fn send(&self, py: Python<'_>, state: String, time_nanos: i64, value: f64) -> PyResult<u64> {
-        let producer = Arc::clone(&self.producer);
-        let sent = async move {
-            match producer.lock().await.as_mut() {
-                Some(producer) => producer.send(&state, time_nanos, value).await,
-                None => Err(tidemap_client::observe::ProducerError::Closed),
-            }
-        };
-        wait(py, sent, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
-    }
-
-    /// Waits until everything that was taken is durable, and returns the number of the last.
-    fn flush(&self, py: Python<'_>) -> PyResult<u64> {
-        let producer = Arc::clone(&self.producer);
-        let flushed = async move {
-            match producer.lock().await.as_mut() {
-                Some(producer) => producer.flush().await.map(|progress| progress.durable_sequence),
-                None => Err(tidemap_client::observe::ProducerError::Closed),
-            }
-        };
-        wait(py, flushed, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
-    }
-
-    /// Waits until everything is durable, and ends.
-    fn close(&self, py: Python<'_>) -> PyResult<()> {
-        let producer = Arc::clone(&self.producer);
-        let closed = async move {
-            let mut held = producer.lock().await;
-            let Some(producer) = held.as_mut() else { return Ok(()) };
-            producer.close().await?;
-            *held = None;
-            Ok(())
-        };
-        wait(py, closed, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
+        Ok(OpenProducer::new(producer))
     }
 }

@@ -95,11 +95,12 @@ pub(crate) struct SeenGrids {
 
 impl SeenGrids {
     fn scan(&self, index: usize) -> Scan {
-        tiles_of(self.cells.index_axis(Axis(0), index), self.first_cell)
+        Scan::Tiles(seen_tiles(self.cells.index_axis(Axis(0), index), self.first_cell))
     }
 }
 
-fn tiles_of(cells: ArrayView3<'_, i8>, first_cell: [i32; 3]) -> Scan {
+/// The tiles of a grid that was seen; axes z, y, x.
+pub(crate) fn seen_tiles(cells: ArrayView3<'_, i8>, first_cell: [i32; 3]) -> Vec<(TileIndex, TileMasks)> {
     let mut tiles: BTreeMap<(i32, i32, i32), (Mask, Mask)> = BTreeMap::new();
     for ((z, y, x), &seen) in cells.indexed_iter() {
         if seen < 0 {
@@ -117,7 +118,7 @@ fn tiles_of(cells: ArrayView3<'_, i8>, first_cell: [i32; 3]) -> Scan {
         }
     }
     let masks = |((z, y, x), (observed, occupied))| (TileIndex { x, y, z }, TileMasks::clipped(observed, occupied));
-    Scan::Tiles(tiles.into_iter().map(masks).collect())
+    tiles.into_iter().map(masks).collect()
 }
 
 /// Sends all grids and waits until they are durable; those that the daemon has are compared.

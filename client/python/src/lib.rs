@@ -11,6 +11,7 @@ mod failure;
 mod grids;
 mod models;
 mod observe;
+mod open_producer;
 mod reports;
 mod rpc;
 mod waiting;
@@ -19,7 +20,7 @@ mod zones;
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<client::NativeClient>()?;
-    module.add_class::<client::OpenProducer>()?;
+    module.add_class::<open_producer::OpenProducer>()?;
     module.add_class::<rpc::Replies>()?;
     module.add_class::<models::NativeModel>()?;
     module.add_function(wrap_pyfunction!(rpc::model_request, module)?)?;

@@ -150,9 +150,9 @@ pub(crate) enum Outcome {
 /// The kind of that name.
 fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
     let mut kinds = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
-    kinds
-        .find(|kind| kind.name() == name)
-        .ok_or_else(|| failure::invalid(py, &format!("kind {name:?}: probability, continuous, count, angle or categorical")))
+    kinds.find(|kind| kind.name() == name).ok_or_else(|| {
+        failure::invalid(py, &format!("kind {name:?}: probability, continuous, count, angle or categorical"))
+    })
 }
 
 /// The kind whose rows are labels.

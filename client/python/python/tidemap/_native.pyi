@@ -15,6 +15,31 @@ class Replies(Iterator[str]):
 
 class OpenProducer:
     def send(self, state: str, time_nanos: int, value: float) -> int: ...
+    def send_ranges(
+        self,
+        time_nanos: int,
+        pose: tuple[float, float, float, float, float, float, float],
+        angle_min_rad: float,
+        angle_increment_rad: float,
+        ranges_m: npt.NDArray[np.float32],
+        min_range_m: float,
+        max_range_m: float,
+        frame_id: str,
+    ) -> int: ...
+    def send_cloud(
+        self,
+        time_nanos: int,
+        pose: tuple[float, float, float, float, float, float, float],
+        xyz_m: npt.NDArray[np.float32],
+        min_range_m: float,
+        max_range_m: float,
+        frame_id: str,
+    ) -> int: ...
+    def send_grid(self, time_nanos: int, cells: npt.NDArray[np.int8], first_cell: tuple[int, int, int]) -> int: ...
+    def send_traversal(self, driven: tuple[str, str, str, int, int, bool, str]) -> int: ...
+    def progress(self) -> dict[str, Any]: ...
+    def take_refusals(self) -> list[tuple[int, str | None, str]]: ...
+    def abandon(self) -> None: ...
     def flush(self) -> int: ...
     def close(self) -> None: ...
 
@@ -103,6 +128,7 @@ class NativeClient:
         label: str,
         kind: str | None = None,
         reporting: tuple[str, int | None, int | None] | None = None,
+        patience_secs: float = 60.0,
     ) -> OpenProducer: ...
 
 class NativeModel:

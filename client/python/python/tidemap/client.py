@@ -228,10 +228,15 @@ class Client(Questions, Routes, Landmarks, Tasks):
         reports: Reports | None = None,
         hold_max: Duration | None = None,
         hold_step: Duration | None = None,
+        patience_secs: float = 60.0,
     ) -> Producer:
-        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as of :meth:`observe`."""
+        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as of :meth:`observe`.
+
+        Where the daemon cannot be reached, it tries again for ``patience_secs`` before it gives up.
+        """
         stated = _reports.stated(reports, hold_max, hold_step)
-        native = self._native.open_producer(map, producer, label, kind, None if stated is None else stated.native())
+        said = None if stated is None else stated.native()
+        native = self._native.open_producer(map, producer, label, kind, said, patience_secs)
         return Producer(native, zone, lambda: self._zone(map), "samples" if stated is None else stated.kind)
 
     def update(self, map: str, until: Time | None = None, *, zone: str | None = None) -> dict[str, Any]:

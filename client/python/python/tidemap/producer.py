@@ -6,12 +6,51 @@ Invariant: what was taken is sent in order, and durable after a flush.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from tidemap import frames
 from tidemap import times as _times
 from tidemap._native import OpenProducer
 from tidemap.errors import InvalidArgument
 from tidemap.times import Time
+
+Pose = tuple[float, float, float, float, float, float, float]
+"""A pose: x, y, z in metres, and the turn as a quaternion x, y, z, w."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a producer is."""
+
+    phase: str
+    """``connecting``, ``connected``, ``waiting`` (the daemon cannot be reached now) or ``ended``."""
+    error: str | None
+    """Why it waits or has ended."""
+    durable_sequence: int
+    """Everything up to this number is on the daemon's disk, or refused."""
+    last_sequence: int
+    """Number of the last that was taken."""
+    store_id: str
+    """Id of the data folder of the daemon."""
+    unreported: int
+    """How many became durable while the connection broke, so that it is not known whether they were refused."""
+    dropped_refusals: int
+    """How many refusals were dropped because nobody took the earlier ones."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What the daemon did not take. Its number is used."""
+
+    sequence: int
+    reason: str | None
+    """For programs, such as ``Empty`` or ``Frame``; ``None``: one that this version does not know."""
+    detail: str
+    """In words."""
 
 
 class Producer:
@@ -31,7 +70,7 @@ class Producer:
         ``value`` may be a word. ``None``, NaN or ``unavailable`` of changes or events says that no value is known from
         then on. Of events it is their number, usually 1.
         """
-        nanos = int(_times.resolve(_times.read(time), self._zone, self._zone_of_map)[0])
+        nanos = self._nanos(time)
         number = float(frames.numbers([value], reports=self._reports).values[0])
         if number != number and self._reports == "samples":
             raise InvalidArgument(
@@ -41,6 +80,93 @@ class Producer:
             )
         return self._native.send(state, nanos, number)
 
+    def send_ranges(
+        self,
+        time: Time,
+        pose: Pose,
+        ranges_m: npt.ArrayLike,
+        *,
+        angle_min_rad: float,
+        angle_increment_rad: float,
+        max_range_m: float,
+        min_range_m: float = 0.0,
+        frame_id: str = "",
+    ) -> int:
+        """Takes a scan of a planar range finder at ``pose`` in the map, and returns its number.
+
+        Angles go counter-clockwise from the x axis of the sensor. Infinity: nothing up to ``max_range_m``; NaN: no
+        reading. Readings nearer than ``min_range_m`` are ignored. ``frame_id`` is the frame of the pose; empty: that
+        of the map.
+        """
+        nanos, ranges = self._nanos(time), np.ascontiguousarray(ranges_m, dtype=np.float32)
+        return self._native.send_ranges(
+            nanos, pose, angle_min_rad, angle_increment_rad, ranges, min_range_m, max_range_m, frame_id
+        )
+
+    def send_cloud(
+        self,
+        time: Time,
+        pose: Pose,
+        xyz_m: npt.ArrayLike,
+        *,
+        min_range_m: float = 0.0,
+        max_range_m: float = 0.0,
+        frame_id: str = "",
+    ) -> int:
+        """Takes a point cloud, rows x, y, z in metres in the frame of the sensor at ``pose`` in the map.
+
+        Points that are not finite or nearer than ``min_range_m`` are ignored; farther ones than ``max_range_m`` only
+        show that the way is free up to it (0: the limit of the daemon). Returns its number.
+        """
+        points = np.ascontiguousarray(xyz_m, dtype=np.float32)
+        return self._native.send_cloud(self._nanos(time), pose, points, min_range_m, max_range_m, frame_id)
+
+    def send_grid(self, time: Time, grid: npt.ArrayLike, *, first_cell: tuple[int, int, int] = (0, 0, 0)) -> int:
+        """Takes a grid that was seen: axes y, x or z, y, x of integers, -1 not seen, 0 free, 1 and more occupied.
+
+        ``first_cell`` is the index x, y, z of its first cell. The map remembers the size of the grid. Returns its
+        number.
+        """
+        cells = np.asarray(grid)
+        if cells.dtype.kind not in "iub" or cells.ndim not in (2, 3):
+            raise InvalidArgument(
+                f"a grid of {cells.dtype} with {cells.ndim} axes: use integers, with the axes y, x or z, y, x",
+                "INVALID_ARGUMENT",
+            )
+        layers = cells[np.newaxis] if cells.ndim == 2 else cells
+        return self._native.send_grid(
+            self._nanos(time), np.ascontiguousarray(np.sign(layers.astype(np.int64)), dtype=np.int8), first_cell
+        )
+
+    def send_traversal(
+        self,
+        from_node: str,
+        to_node: str,
+        start: Time,
+        end: Time,
+        success: bool,
+        *,
+        action: str = "",
+        reason: str = "",
+    ) -> int:
+        """Takes a traversal of an edge, or the attempt at it, and returns its number."""
+        return self._native.send_traversal(
+            (from_node, to_node, action, self._nanos(start), self._nanos(end), bool(success), reason)
+        )
+
+    @property
+    def progress(self) -> Progress:
+        """How far it is."""
+        found: dict[str, Any] = self._native.progress()
+        return Progress(**found)
+
+    def take_refusals(self) -> list[Refusal]:
+        """What the daemon refused since the last call, at most 65,536."""
+        return [Refusal(*row) for row in self._native.take_refusals()]
+
+    def _nanos(self, time: Time) -> int:
+        return int(_times.resolve(_times.read(time), self._zone, self._zone_of_map)[0])
+
     def flush(self) -> int:
         """Waits until everything that was taken is durable, and returns the number of the last."""
         return self._native.flush()
@@ -48,6 +174,10 @@ class Producer:
     def close(self) -> None:
         """Waits until everything is durable, and ends."""
         self._native.close()
+
+    def abandon(self) -> None:
+        """Ends at once; what is not durable may or may not become so."""
+        self._native.abandon()
 
     def __enter__(self) -> Producer:
         return self

@@ -1,0 +1,143 @@
+"""The node ``tidemap``: what it is made of, and its start and end.
+
+Invariant: what was taken before the end is on the disk when the node has ended.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+
+from tidemap_ros import clock_words, health, messages
+from tidemap_ros.graph import BadGraph
+from tidemap_ros.inputs import Inputs
+from tidemap_ros.intake import Intake
+from tidemap_ros.link import Link
+from tidemap_ros.outputs import Outputs
+from tidemap_ros.parameters import TABLE, BadParameter, Settings, checked
+from tidemap_ros.sender import Sender
+from tidemap_ros.spool import Spool, SpoolError
+from tidemap_ros.transforms import Transforms
+
+CHANGEABLE = ("map_time", "map_output")
+# One for what arrives, one for what is published, and one each for services and diagnostics.
+THREADS = 4
+
+
+class TidemapNode(Node):  # type: ignore[misc]
+    """The node."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("tidemap", **options)
+        self._spool: Spool | None = None
+        self._sender: Sender | None = None
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self) -> None:
+        settings = Settings(self._declared())
+        clock_words.nanos(settings.text("map_time"), time.time_ns())
+        self._settings, self._link = settings, Link(settings)
+        log = self.get_logger().warning
+        folder = settings.spool_folder(self._link.producer_name)
+        self._spool = spool = Spool(folder, int(settings.number("spool_megabytes") * 1e6))
+        transforms = Transforms(settings.number("tf_kept"), settings.number("tf_tolerance"))
+        self._intake = Intake(
+            settings, spool, transforms, lambda: int(self.get_clock().now().nanoseconds), time.monotonic, log
+        )
+        self._sender = sender = Sender(
+            spool, self._link.open_producer, self._link.grid_of_map, settings.number("spool_sync_seconds"), log
+        )
+        self._intake.grid_of_map = lambda: sender.grid
+        inputs = Inputs(self, settings, self._intake, self._link)
+        self._outputs = Outputs(self, settings, self._link, inputs)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(
+            settings.number("diagnostics_period"), self._diagnose, callback_group=MutuallyExclusiveCallbackGroup(),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self.add_on_set_parameters_callback(self._changed)
+        self._sender.start()
+
+    def _declared(self) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for known in TABLE:
+            descriptor = ParameterDescriptor(
+                description=known.meaning, dynamic_typing=True, read_only=known.name not in CHANGEABLE
+            )
+            values[known.name] = self.declare_parameter(known.name, known.default, descriptor).value
+        return values
+
+    def _changed(self, parameters: list[Any]) -> SetParametersResult:
+        """Takes another time, or another output, of the map."""
+        words = {"map_time": self._outputs.map_time, "map_output": self._outputs.map_output}
+        try:
+            for parameter in parameters:
+                if parameter.name in words:
+                    words[parameter.name] = str(checked(parameter.name, parameter.value))
+            clock_words.nanos(words["map_time"], int(self.get_clock().now().nanoseconds))
+        except (BadParameter, clock_words.BadTime) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._outputs.show(words["map_time"], words["map_output"])
+        return SetParametersResult(successful=True)
+
+    def _diagnose(self) -> None:
+        spool, sender = self._spool, self._sender
+        if spool is None or sender is None:
+            return
+        now, counts = int(self.get_clock().now().nanoseconds), self._intake.counts
+        statuses = [
+            health.of_sending(sender.state, now, self._settings.text("server")),
+            health.of_spool(str(spool.folder), spool.bytes, spool.bytes_max, counts, spool.lost, spool.cut_bytes),
+            health.of_intake(counts, self._intake.waiting),
+            *self._outputs.statuses,
+        ]
+        stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(messages.diagnostics(self.get_name(), statuses, self._settings.text("map"), stamp))
+
+    def close(self) -> None:
+        """Ends what was started. What waits stays on the disk."""
+        if self._sender is not None and self._sender.is_alive():
+            self._sender.stop()
+        if self._spool is not None:
+            self._spool.close()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the node until it is told to end."""
+    rclpy.init(args=arguments)
+    try:
+        node = TidemapNode()
+    except (BadParameter, BadGraph, clock_words.BadTime, SpoolError) as error:
+        print(f"tidemap_node: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    executor = MultiThreadedExecutor(THREADS)
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        # First nothing arrives any more, then what arrived is put on the disk.
+        executor.shutdown(timeout_sec=2.0)
+        node.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
