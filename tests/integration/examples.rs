@@ -74,6 +74,7 @@ pages! {
     papers: "docs/src/papers.md",
     people: "docs/src/people.md",
     python: "docs/src/python.md",
+    recordings: "docs/src/recordings.md",
     rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",

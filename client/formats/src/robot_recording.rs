@@ -69,6 +69,42 @@ int32 sec
 uint32 nanosec
 ",
 );
+const CLOUD: (&str, &str) = (
+    "sensor_msgs/msg/PointCloud2",
+    "\
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+================================================================================
+MSG: sensor_msgs/PointField
+uint8 INT8=1
+uint8 UINT8=2
+uint8 INT16=3
+uint8 UINT16=4
+uint8 INT32=5
+uint8 UINT32=6
+uint8 FLOAT32=7
+uint8 FLOAT64=8
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+",
+);
 const DOOR: (&str, &str) = (
     "rmf_door_msgs/msg/DoorState",
     "\
@@ -89,6 +125,9 @@ uint32 MODE_UNKNOWN=4
 uint32 value
 ",
 );
+/// Number type of the coordinates of a point, and the bytes of a point.
+const FLOAT32: u8 = 7;
+const POINT_BYTES: usize = 12;
 /// Mode of an open door, and of a closed one.
 const OPEN: u32 = 2;
 const CLOSED: u32 = 0;
@@ -170,6 +209,38 @@ impl<W: Write + Seek> RobotRecording<W> {
         cdr.floats(ranges_m);
         cdr.count(0);
         self.put((topic, time_nanos), SCAN, &cdr.into_bytes())
+    }
+
+    /// Adds a point cloud: points in the frame of the sensor, metres.
+    ///
+    /// # Errors
+    /// [`RobotRecordingError`].
+    pub fn cloud(
+        &mut self,
+        (topic, time_nanos): (&str, i64),
+        frame: &str,
+        points_m: &[[f32; 3]],
+    ) -> Result<(), RobotRecordingError> {
+        let size = |bytes: usize| u32::try_from(bytes).unwrap_or(u32::MAX).to_le_bytes();
+        let mut cdr = Cdr::with_capacity(points_m.len() * POINT_BYTES + 256);
+        cdr.time(time_nanos)?;
+        cdr.text(frame);
+        cdr.number(1_u32.to_le_bytes());
+        cdr.number(size(points_m.len()));
+        cdr.count(3);
+        for (name, offset) in [("x", 0_u32), ("y", 4), ("z", 8)] {
+            cdr.text(name);
+            cdr.number(offset.to_le_bytes());
+            cdr.number([FLOAT32]);
+            cdr.number(1_u32.to_le_bytes());
+        }
+        cdr.number([0]);
+        cdr.number(size(POINT_BYTES));
+        cdr.number(size(points_m.len() * POINT_BYTES));
+        cdr.count(points_m.len() * POINT_BYTES);
+        cdr.bytes(points_m.iter().flatten().flat_map(|along| along.to_le_bytes()));
+        cdr.number([1]);
+        self.put((topic, time_nanos), CLOUD, &cdr.into_bytes())
     }
 
     /// Adds the state of a door.

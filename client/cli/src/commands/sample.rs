@@ -3,6 +3,7 @@
 //! Invariant: the same version writes the same files. An existing folder is never written into.
 
 mod building;
+mod clouds;
 mod door;
 mod grid;
 mod home;
@@ -38,6 +39,8 @@ pub(crate) struct SampleArgs {
     folder: Option<PathBuf>,
     #[command(flatten)]
     building: BuildingArgs,
+    #[command(flatten)]
+    clouds: CloudArgs,
 }
 
 /// Other sizes of the building, for tests.
@@ -68,6 +71,16 @@ enum Sample {
     Grid,
     /// Two weeks of a robot in a corridor with two doors, as ROS 2 records it: scans, transforms, doors
     Recording,
+    /// A minute of a robot with a 3-D scanner: ten point clouds of 100,000 points a second, as ROS 2 records them
+    Clouds,
+}
+
+/// Options of the sample of point clouds.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct CloudArgs {
+    /// For `clouds`: seconds of the recording, 12 MB each
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=36_000))]
+    seconds: u32,
 }
 
 /// A file of a sample.
@@ -86,6 +99,7 @@ impl Sample {
             Self::Home => "home",
             Self::Grid => "grid",
             Self::Recording => "recording",
+            Self::Clouds => "clouds",
         }
     }
 
@@ -96,11 +110,12 @@ impl Sample {
             Self::Building => "two weeks of a building: a Nav2 map for each hour, rooms, topological map, traversals",
             Self::Home => "twelve weeks of forty sensors of a home that report changes, and the week after",
             Self::Grid => "two weeks of scans of an office of real size, 213,000 cells of 0.1 m",
+            Self::Clouds => "a minute of a robot with a 3-D scanner: point clouds of 100,000 points",
             Self::Recording => "two weeks of a robot in a corridor with two doors, as ROS 2 records it",
         }
     }
 
-    fn write(self, folder: &Path, building: &BuildingArgs) -> anyhow::Result<Vec<SampleFile>> {
+    fn write(self, folder: &Path, building: &BuildingArgs, clouds: &CloudArgs) -> anyhow::Result<Vec<SampleFile>> {
         match self {
             Self::Door => door::write(folder),
             Self::Office => office::write(folder),
@@ -108,6 +123,7 @@ impl Sample {
             Self::Home => home::write(folder),
             Self::Grid => grid::write(folder),
             Self::Recording => recording::write(folder),
+            Self::Clouds => clouds::write(folder, clouds),
         }
     }
 }
@@ -140,7 +156,7 @@ pub(crate) fn run(args: &SampleArgs, format: Format) -> anyhow::Result<ExitCode>
         return Err(UsageError(format!("{shown} exists: name another folder, or remove it")).into());
     }
     fs::create_dir_all(&folder).with_context(|| shown.to_string())?;
-    let files = sample.write(&folder, &args.building).with_context(|| shown.to_string())?;
+    let files = sample.write(&folder, &args.building, &args.clouds).with_context(|| shown.to_string())?;
     let row = |file: &SampleFile| vec![file.name.into(), file.rows.into(), file.what.into()];
     write_rows(format, &["file", "rows", "content"], files.iter().map(row), stdout())?;
     status_line(&format!("with a daemon running, try it: sh {shown}/try.sh, or its commands one by one"));
@@ -160,7 +176,7 @@ mod tests {
             for name in ["a", "b"] {
                 let folder = folder.path().join(sample.name().to_owned() + name);
                 fs::create_dir(&folder)?;
-                let mut files = sample.write(&folder, &small)?;
+                let mut files = sample.write(&folder, &small, &CloudArgs { seconds: 1 })?;
                 files.retain(|file| file.name != "maps");
                 let read = |file: &SampleFile| fs::read_to_string(folder.join(file.name));
                 contents.push(files.iter().map(read).collect::<Result<Vec<_>, _>>()?);
