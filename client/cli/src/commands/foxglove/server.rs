@@ -212,21 +212,23 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
             () = time_bar.changed.notified() => true,
             _ = ticks.tick() => false,
         };
-        let (before, now) = {
+        let (was_playing, ended, at_nanos) = {
             let mut playback = time_bar.playback();
-            let before = *playback;
-            if playback.advance(last_look.elapsed()) {
-                server.broadcast_playback_state(state(&playback, false));
-            }
+            let was_playing = playback.is_playing();
+            let ended = playback.advance(last_look.elapsed()).then_some(*playback);
             last_look = Instant::now();
-            (before, *playback)
+            (was_playing, ended, playback.at_nanos())
         };
-        if !is_asked && !before.is_playing() {
+        if !is_asked && !was_playing {
             continue;
         }
-        server.broadcast_time(unsigned(now.at_nanos()));
-        let sent = channels.put(session, &served, now.at_nanos()).await.map_err(|error| format!("{error:#}"));
+        server.broadcast_time(unsigned(at_nanos));
+        let sent = channels.put(session, &served, at_nanos).await.map_err(|error| format!("{error:#}"));
         tell(&server, sent.err(), &mut problem);
+        // The end is told behind its map, unless a client has moved the bar meanwhile.
+        if let Some(ended) = ended.filter(|ended| *ended == *time_bar.playback()) {
+            server.broadcast_playback_state(state(&ended, false));
+        }
     }
 }
 
