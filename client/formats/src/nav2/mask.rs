@@ -196,7 +196,7 @@ mod tests {
         fn a_triangle_forbids_what_its_points_are_in(
             corners in proptest::collection::vec((0.01_f64..7.99, 0.01_f64..7.99).prop_map(|(x, y)| [x, y]), 3),
         ) {
-            let mask = keepout(&floor(8, 8), &[corners.clone()], 0.65).expect("a mask");
+            let mask = keepout(&floor(8, 8), std::slice::from_ref(&corners), 0.65).expect("a mask");
             let forbidden = forbidden_cells(&mask);
             for step in 0..=40_u32 {
                 for other in 0..=(40 - step) {
