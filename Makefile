@@ -107,9 +107,9 @@ wheel:
 python: wheel
 	@$(ENV); deploy/python.sh $(PYTHONS)
 
-## ros-test: the wheel, and the package for ROS 2 with real ROS and a real daemon; the node's network is its own as root
+## ros-test: the wheel, and the package for ROS with real ROS 2 (DISTRO=kilted, or jazzy) and a real daemon
 ros-test: wheel
-	@$(ENV); deploy/ros_test.sh
+	@$(ENV); deploy/ros_test.sh $(or $(DISTRO),kilted)
 
 ## cpp-test: builds the example of client/cpp with Debian's gRPC, and runs it against a real daemon
 cpp-test:

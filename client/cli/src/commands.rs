@@ -214,15 +214,15 @@ enum Command {
     Grid(grid::GridCommand),
     /// Writes maps of any time, past or future, as files for other programs
     ///
-    /// The ending of PATH says what: .mcap is a recording of the map over time for Foxglove and ROS 2, with the grid, the
-    /// topological map and the states; .yaml is a map for Nav2's map server, with its image .pgm beside it, or with
-    /// --mask a mask for a costmap filter; .geojson is the topological map for Nav2's route server, whose edges cost the
-    /// expected seconds at that time. A .mcap file takes many times, the others one.
+    /// The ending of PATH says what: .mcap is a recording of the map over time for Foxglove and ROS 2, with the grid,
+    /// the topological map and the states; .yaml is a map for Nav2's map server, with its image .pgm beside it, or with
+    /// --mask a mask for a costmap filter; .geojson is the topological map for Nav2's route server, whose edges cost
+    /// the expected seconds at that time. A .mcap file takes many times, the others one.
     Export(export::ExportArgs),
     /// Serves a map to the program Foxglove, whose time bar then asks for maps of the past and of the future
     ///
-    /// Foxglove opens the address that is printed. Its time bar begins with the first observation and ends --ahead after
-    /// now. Channels: /grid, /topology, /states/NAME and /anomalies. The server runs until it is interrupted.
+    /// Foxglove opens the address that is printed. Its time bar begins with the first observation and ends --ahead
+    /// after now. Channels: /grid, /topology, /states/NAME and /anomalies. The server runs until it is interrupted.
     Foxglove(foxglove::FoxgloveArgs),
     /// Shows the exact observations of a state, if the map keeps its history
     Reconstruct(reconstruct::ReconstructArgs),

@@ -47,7 +47,10 @@ fn a_recording_has_the_map_of_every_time() {
     }
     assert_eq!((grids, graphs), (expected, 4));
     let predicted = home.run(&[&["predict", MAP, "door"], &DAY[..]].concat()).table();
-    assert_eq!(doors, predicted.numbers("probability"));
+    // The reader of JSON may miss the last bit.
+    let predicted = predicted.numbers("probability");
+    assert_eq!(doors.len(), predicted.len());
+    assert!(doors.iter().zip(&predicted).all(|(door, predicted)| (door - predicted).abs() < 1e-12), "{doors:?}");
     let day: Vec<u64> = (0..4).map(|step| MIDNIGHT_NANOS + step * 6 * HOUR_NANOS).collect();
     assert!(times.len() == 3 + states && times.values().all(|times| *times == day), "{times:?}");
 }

@@ -1,7 +1,7 @@
 //! Graphs for Nav2's route server.
 //!
-//! Invariant: files are read as the loader of the route server reads them: it takes `id`, `startid`, `endid`, `cost` and
-//! `overridable` of the properties, and refuses an edge whose nodes are missing.
+//! Invariant: files are read as the loader of the route server reads them: it takes `id`, `startid`, `endid`, `cost`
+//! and `overridable` of the properties, and refuses an edge whose nodes are missing.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -76,8 +76,8 @@ fn a_graph_has_the_expected_seconds_of_each_edge_at_its_time() {
     }
     // The way from Lab to Shop is closed at night.
     assert!(night.edges["Lab/Shop"].3 > 10.0 * noon.edges["Lab/Shop"].3, "{noon:?} {night:?}");
-    let told = tidemap(&home.daemon, ["export", MAP, &home.text("noon.geojson"), "--at", NOON]);
-    assert!(told.stderr.contains("1 nodes without a position"), "{}", told.stderr);
+    let outcome = tidemap(&home.daemon, ["export", MAP, &home.text("noon.geojson"), "--at", NOON]);
+    assert!(outcome.stderr.contains("1 nodes without a position"), "{}", outcome.stderr);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `tidemap export`: maps of any time as files that other programs read.
 //!
-//! Invariant: the ending of PATH says what is written. A file appears under its name when it is complete; a file that was
-//! there before stays if the export fails.
+//! Invariant: the ending of PATH says what is written. A file appears under its name when it is complete; a file that
+//! was there before stays if the export fails.
 
 mod args;
 pub(crate) mod frames;

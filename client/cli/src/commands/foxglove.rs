@@ -1,5 +1,5 @@
-//! `tidemap foxglove`: a server for the program Foxglove, whose time bar then reaches from the first observation of a map
-//! into the future.
+//! `tidemap foxglove`: a server for the program Foxglove, whose time bar then reaches from the first observation of a
+//! map into the future.
 //!
 //! Invariant: it answers reads only. Without `--listen` it is reached from this machine alone.
 

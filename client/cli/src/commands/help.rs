@@ -14,7 +14,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     (
         "Predict, and look back",
-        &["predict", "classify", "position", "presence", "joint", "export", "reconstruct", "anomalies"],
+        &["predict", "classify", "position", "presence", "joint", "export", "foxglove", "reconstruct", "anomalies"],
     ),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
     ("Drive, work and search", &["topology", "landmark", "no-go", "task", "plan", "route", "policy", "search"]),

@@ -90,7 +90,7 @@ fn states_and_topologies_have_topics_of_their_own() -> Result<(), Box<dyn std::e
         match message.channel.topic.as_str() {
             "/topology" => assert_eq!(json, json!({ "geojson": "{}" })),
             "/states/door" => {
-                assert_eq!((&json["value"], &json["low"], &json["high"]), (&0.5.into(), &0.25.into(), &Value::Null))
+                assert_eq!((&json["value"], &json["low"], &json["high"]), (&0.5.into(), &0.25.into(), &Value::Null));
             }
             _ => assert_eq!(json["value"], 1.0),
         }
@@ -113,7 +113,7 @@ fn schemas_are_json_and_name_every_field_of_their_messages() -> Result<(), serde
         (messages::GRID_SCHEMA, messages::grid(TIME, "map", &samples::flat())),
         (messages::GEOJSON_SCHEMA, messages::topology("{}")),
         (messages::STATE_SCHEMA, state),
-        (messages::ANOMALIES_SCHEMA, messages::anomalies(TIME, &[anomaly.clone()])),
+        (messages::ANOMALIES_SCHEMA, messages::anomalies(TIME, std::slice::from_ref(&anomaly))),
     ] {
         let schema: Value = serde_json::from_str(schema)?;
         let message: Value = serde_json::from_slice(&message.expect("a message"))?;

@@ -30,9 +30,9 @@ pub fn keepout(picture: &MapPicture, areas: &[Vec<[f64; 2]>], occupied_from: f64
     Ok(mask(picture, forbidden.into_iter().map(cell).collect()))
 }
 
-/// The speed mask of a map: the more probable it is that a cell is occupied, the slower. The limit is that probability's
-/// complement, at least `slowest`; both are shares of the greatest speed, above 0 to 1. Cells that are certainly free
-/// have no limit, and unknown cells stay unknown, which leaves the speed as it is.
+/// The speed mask of a map: the more probable it is that a cell is occupied, the slower. The limit is the probability
+/// that the cell is free, at least `slowest`; both are shares of the greatest speed, above 0 to 1. Cells that are
+/// certainly free have no limit, and unknown cells stay unknown, which leaves the speed as it is.
 ///
 /// # Errors
 /// The picture is invalid or has several layers.
@@ -196,7 +196,7 @@ mod tests {
         fn a_triangle_forbids_what_its_points_are_in(
             corners in proptest::collection::vec((0.01_f64..7.99, 0.01_f64..7.99).prop_map(|(x, y)| [x, y]), 3),
         ) {
-            let mask = keepout(&floor(8, 8), &[corners.clone()], 0.65).expect("a mask");
+            let mask = keepout(&floor(8, 8), std::slice::from_ref(&corners), 0.65).expect("a mask");
             let forbidden = forbidden_cells(&mask);
             for step in 0..=40_u32 {
                 for other in 0..=(40 - step) {

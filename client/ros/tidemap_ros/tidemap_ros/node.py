@@ -5,7 +5,9 @@ Invariant: what was taken before the end is on the disk when the node has ended.
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 from typing import Any
 
@@ -16,6 +18,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from tidemap_ros import clock_words, health, messages
 from tidemap_ros.graph import BadGraph
@@ -31,6 +34,7 @@ from tidemap_ros.transforms import Transforms
 CHANGEABLE = ("map_time", "map_output")
 # One for what arrives, one for what is published, and one each for services and diagnostics.
 THREADS = 4
+ENDS_WITHIN_SECS = 0.2
 
 
 class TidemapNode(Node):  # type: ignore[misc]
@@ -117,7 +121,11 @@ class TidemapNode(Node):  # type: ignore[misc]
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the node until it is told to end."""
-    rclpy.init(args=arguments)
+    ending = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ending.set())
+    # rclpy's own handlers end the context while threads of the executor still use it.
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = TidemapNode()
     except (BadParameter, BadGraph, clock_words.BadTime, SpoolError) as error:
@@ -127,8 +135,9 @@ def main(arguments: list[str] | None = None) -> int:
     executor = MultiThreadedExecutor(THREADS)
     executor.add_node(node)
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while rclpy.ok() and not ending.is_set():
+            executor.spin_once(timeout_sec=ENDS_WITHIN_SECS)
+    except ExternalShutdownException:
         pass
     finally:
         # First nothing arrives any more, then what arrived is put on the disk.

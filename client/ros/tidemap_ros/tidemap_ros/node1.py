@@ -156,6 +156,7 @@ class Node:
                 if wanted == shown and time.monotonic() < due:
                     continue
                 self._map.publish(self._grid(*wanted))
+                self._charts.check_growth()
                 shown, due = wanted, time.monotonic() + self._settings.number("map_period")
                 self._map_error, self._maps = None, self._maps + 1
             except (tidemap.TidemapError, NoMap, OSError, ValueError, rospy.ROSException) as error:
@@ -196,7 +197,8 @@ class Node:
                 health.of_intake(counts, counts_of.waiting),
             ]
             if self._map is not None:
-                statuses.append(health.of_output("map", self._map_error, self._maps))
+                is_cut = self._charts.grown_beyond
+                statuses.append(health.of_output("map", self._map_error, self._maps, is_cut=is_cut))
             message = DiagnosticArray()
             message.header.stamp = rospy.Time.now()
             for status in statuses:

@@ -28,7 +28,6 @@ from tidemap_ros.parameters import Settings
 
 TICK_SECS = 0.2
 RETRY_SECS = 5.0
-GROWTH_SECS = 60.0
 OUTPUTS_OF_WORDS = {"": None, "three_values": "three_values", "probability": "probability", "entropy": "entropy"}
 
 
@@ -69,7 +68,7 @@ class Outputs:
         """What diagnostics say of the outputs."""
         return [
             health.of_output(task.name, task.error, task.done, is_cut=task.name == "map" and self.charts.grown_beyond)
-            for task in self.tasks if task.name != "growth"
+            for task in self.tasks
         ]
 
     def _every(self, name: str, period_secs: float, work: Callable[[], None]) -> Task:
@@ -107,10 +106,12 @@ class Outputs:
         settings, services = self._settings, MutuallyExclusiveCallbackGroup()
         if settings.text("map_topic"):
             publisher = self._node.create_publisher(OccupancyGrid, settings.text("map_topic"), LATCHED)
-            self._map_task = self._every(
-                "map", settings.number("map_period"), lambda: publisher.publish(self._shown(self.map_time, None))
-            )
-            self._every("growth", GROWTH_SECS, self.charts.check_growth)
+
+            def publish() -> None:
+                publisher.publish(self._shown(self.map_time, None))
+                self.charts.check_growth()
+
+            self._map_task = self._every("map", settings.number("map_period"), publish)
         self._node.create_service(GetMap, "~/get_map", self._get_map, callback_group=services)
         self._node.create_service(LoadMap, "~/get_map_at", self._get_map_at, callback_group=services)
 

@@ -2,9 +2,9 @@
 //!
 //! All clients share one time bar, as the protocol has one playback state for a server.
 //!
-//! Invariant: only what a client has subscribed to is asked of the daemon. A request of the time bar is answered at once,
-//! and the map of its time follows. A map is asked for after the one before has arrived, so clients that move the bar
-//! quickly get the newest time only.
+//! Invariant: only what a client has subscribed to is asked of the daemon. A request of the time bar is answered at
+//! once, and the map of its time follows. A map is asked for after the one before has arrived, so clients that move the
+//! bar quickly get the newest time only.
 
 use std::{
     collections::HashMap,
@@ -49,12 +49,12 @@ const UNUSUAL_MAX: u32 = 100;
 const BACKLOG: usize = 4_096;
 
 /// The time bar, and who waits for its changes.
-struct Shared {
+struct TimeBar {
     playback: Mutex<Playback>,
     changed: Notify,
 }
 
-impl Shared {
+impl TimeBar {
     fn playback(&self) -> MutexGuard<'_, Playback> {
         // A time bar is whole after every change.
         self.playback.lock().unwrap_or_else(PoisonError::into_inner)
@@ -81,7 +81,7 @@ fn unsigned(nanos: i64) -> u64 {
     u64::try_from(nanos).unwrap_or_default()
 }
 
-impl ServerListener for Shared {
+impl ServerListener for TimeBar {
     fn on_subscribe(&self, _client: Client, _channel: ChannelView) {
         self.changed.notify_one();
     }
@@ -187,7 +187,7 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
     let mut channels = Channels::open(session, &served).await?;
     let (first, last) = served.range_nanos;
     let playback = Playback::new(served.range_nanos, clock::now_nanos());
-    let shared = Arc::new(Shared { playback: Mutex::new(playback), changed: Notify::new() });
+    let time_bar = Arc::new(TimeBar { playback: Mutex::new(playback), changed: Notify::new() });
     let (address, port) = served.address;
     let server = WebSocketServer::new()
         .name(format!("tidemap {}", served.options.map))
@@ -195,7 +195,7 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
         .capabilities([Capability::Time])
         .playback_time_range(unsigned(first), unsigned(last))
         .message_backlog_size(BACKLOG)
-        .listener(Arc::clone(&shared) as Arc<dyn ServerListener>)
+        .listener(Arc::clone(&time_bar) as Arc<dyn ServerListener>)
         .context(&channels.context)
         .start()
         .await?;
@@ -209,24 +209,26 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
     let mut problem = None;
     loop {
         let is_asked = tokio::select! {
-            () = shared.changed.notified() => true,
+            () = time_bar.changed.notified() => true,
             _ = ticks.tick() => false,
         };
-        let (before, now) = {
-            let mut playback = shared.playback();
-            let before = *playback;
-            if playback.advance(last_look.elapsed()) {
-                server.broadcast_playback_state(state(&playback, false));
-            }
+        let (was_playing, ended, at_nanos) = {
+            let mut playback = time_bar.playback();
+            let was_playing = playback.is_playing();
+            let ended = playback.advance(last_look.elapsed()).then_some(*playback);
             last_look = Instant::now();
-            (before, *playback)
+            (was_playing, ended, playback.at_nanos())
         };
-        if !is_asked && !before.is_playing() {
+        if !is_asked && !was_playing {
             continue;
         }
-        server.broadcast_time(unsigned(now.at_nanos()));
-        let sent = channels.put(session, &served, now.at_nanos()).await.map_err(|error| format!("{error:#}"));
+        server.broadcast_time(unsigned(at_nanos));
+        let sent = channels.put(session, &served, at_nanos).await.map_err(|error| format!("{error:#}"));
         tell(&server, sent.err(), &mut problem);
+        // The end is told behind its map, unless a client has moved the bar meanwhile.
+        if let Some(ended) = ended.filter(|ended| *ended == *time_bar.playback()) {
+            server.broadcast_playback_state(state(&ended, false));
+        }
     }
 }
 

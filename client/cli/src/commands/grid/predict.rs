@@ -287,7 +287,8 @@ pub(crate) async fn usual_region(
     cells_between(session, map, (rectangle, z), true).await
 }
 
-/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, those that matter to a robot.
+/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, those that matter to a
+/// robot.
 async fn cells_between(
     session: &Session,
     map: &str,

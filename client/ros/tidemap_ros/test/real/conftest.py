@@ -21,7 +21,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 import tidemap
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+# As deep as what a test sends: a sender forgets what does not fit, also if it is reliable.
+RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 PATIENCE_SECS = 60.0
 
 
@@ -164,11 +165,12 @@ def bench(tmp_path, request) -> Iterator[Bench]:
     made = Bench(tmp_path)
     yield made
     failed = getattr(request.node, "failed", False)
-    for node in made.nodes:
-        node.stop()
+    ends = [node.stop() for node in made.nodes]
     if failed and made.nodes:
         print(made.nodes[0].log.read_text()[-4000:])
     made.daemon.stop()
+    # 2: the parameters were wrong, as a test wanted it.
+    assert set(ends) <= {0, 2}
 
 
 @pytest.hookimpl(hookwrapper=True)

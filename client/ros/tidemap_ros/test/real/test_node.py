@@ -148,6 +148,8 @@ def test_the_map_at_any_time(bench, peer):
     count = len(heard)
     until(lambda: len(heard) > count + 1, "another map")
     assert heard[-1].info.width == 20 and len(heard[-1].data) == 320
+    told = peer.heard(DiagnosticArray, "/diagnostics", RELIABLE)
+    until(lambda: "map_region" in last_values(told, "map").get("message", ""), "that the map has grown")
 
 
 def test_grids_of_any_cells_become_the_map(bench, peer):
@@ -299,7 +301,7 @@ def test_a_node_that_is_killed_sends_the_rest_when_it_comes_back(bench, peer):
 
 def test_a_full_spool_is_told_and_the_oldest_are_kept(bench, peer):
     bench.client.create_map("office", grid_resolution_m=0.5)
-    bench.node(cloud_topics=["/points"], spool_megabytes=2)
+    bench.node(cloud_topics=["/points"], spool_megabytes=2, cloud_cell=-1.0)
     clouds = peer.publisher(PointCloud2, "/points")
     heard = peer.heard(DiagnosticArray, "/diagnostics", RELIABLE)
     until(lambda: last_values(heard, "daemon").get("level") == "0", "a connection")
