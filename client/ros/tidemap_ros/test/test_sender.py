@@ -140,7 +140,7 @@ def test_a_node_that_ends_before_the_acknowledgement_sends_nothing_twice(tmp_pat
     again.append(value(11))
     daemon.acknowledges = True
     thread = started(again, daemon)
-    until(lambda: thread.state.durable_records == 1)
+    until(lambda: thread.state.durable_records == 11)
     assert [kept[1] for kept in daemon.kept.values()] == list(range(1, 12)) and daemon.doubled == []
     thread.stop()
 
@@ -158,7 +158,7 @@ def test_a_daemon_that_goes_and_comes_gets_the_rest(tmp_path):
     until(lambda: not thread.state.connected)
     del daemon.kept[4], daemon.kept[5]
     daemon.is_there = daemon.acknowledges = True
-    until(lambda: thread.state.durable_records == 2)
+    until(lambda: thread.state.durable_records == 5)
     assert [kept[1] for kept in daemon.kept.values()] == [1, 2, 3, 4, 5]
     thread.stop()
 

@@ -154,7 +154,10 @@ class Sender(threading.Thread):
             )
         with self._lock:
             self._producer = producer
-            self._next = max(self.spool.first, durable - (self.spool.offset or 0) + 1)
+            following = max(self.spool.first, durable - (self.spool.offset or 0) + 1)
+            # What was on its way when a connection broke, and had arrived.
+            self._state.durable_records += max(following - self._next, 0)
+            self._next = following
             self._at = None
             self._in_flight.clear()
             self._bytes_in_flight = 0

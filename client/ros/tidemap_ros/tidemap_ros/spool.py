@@ -43,6 +43,7 @@ class _Segment:
     records: int
     bytes: int
     descriptor: int
+    is_unsynced: bool = False
 
     @property
     def last(self) -> int:
@@ -73,7 +74,7 @@ class Spool:
         """Number of the last record that was found at the start; ``None`` once the daemon was reached."""
         self.cut_bytes = 0
         """Bytes of a record that was being written when the program or the machine stopped."""
-        self._is_unsynced = False
+        self._is_folder_unsynced = False
         self._is_closed = False
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -222,33 +223,41 @@ class Spool:
             segment.records += 1
             number = self._next
             self._next += 1
-            self._is_unsynced = True
+            segment.is_unsynced = True
             self.grown.notify_all()
             return number
 
     def _begin_segment(self) -> None:
         path = self.folder / f"{self._next:020}{_SUFFIX}"
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-        if self._segments:
-            os.fdatasync(self._segments[-1].descriptor)
+        # Not synced here: whoever appends must not wait for the disk.
         self._segments.append(_Segment(path, self._next, 0, 0, descriptor))
-        self._sync_folder()
+        self._is_folder_unsynced = True
 
     def sync(self) -> None:
         """Everything appended so far survives a power cut from here on."""
         with self._lock:
-            if not self._is_unsynced or not self._segments or self._is_closed:
+            if self._is_closed:
                 return
-            self._is_unsynced = False
-            # Of its own, so that appending and forgetting go on meanwhile.
-            descriptor = os.dup(self._segments[-1].descriptor)
+            segments = [segment for segment in self._segments if segment.is_unsynced]
+            # Of their own, so that appending and forgetting go on meanwhile.
+            descriptors = [os.dup(segment.descriptor) for segment in segments]
+            is_folder_unsynced, self._is_folder_unsynced = self._is_folder_unsynced, False
+            for segment in segments:
+                segment.is_unsynced = False
         try:
-            os.fdatasync(descriptor)
+            for descriptor in descriptors:
+                os.fdatasync(descriptor)
+            if is_folder_unsynced:
+                self._sync_folder()
         except OSError:
-            self._is_unsynced = True
+            self._is_folder_unsynced = is_folder_unsynced
+            for segment in segments:
+                segment.is_unsynced = True
             raise
         finally:
-            os.close(descriptor)
+            for descriptor in descriptors:
+                os.close(descriptor)
 
     def acknowledged(self, sequence: int) -> None:
         """The daemon has everything up to this sequence number."""

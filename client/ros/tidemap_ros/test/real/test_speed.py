@@ -58,7 +58,7 @@ def test_clouds_of_100_000_points_at_10_hz(bench, peer):
         "min_x": -300, "min_y": -300, "min_z": -20, "max_x": 300, "max_y": 300, "max_z": 60}})
     node = bench.node(
         cloud_topics=["/points"], scan_topics=[""], map_topic="", markers_topic="", max_range=25.0,
-        spool_megabytes=8000,
+        spool_megabytes=8000, queue_depth=100,
     )
     clouds = peer.publisher(PointCloud2, "/points")
     heard = peer.heard(DiagnosticArray, "/diagnostics", RELIABLE)
