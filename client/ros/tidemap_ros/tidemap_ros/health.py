@@ -71,8 +71,11 @@ def of_intake(counts: Counts, waiting: int) -> Status:
     found = Status("observations", OK, f"{counts.taken} taken")
     if counts.left_out:
         found.level, found.message = WARN, f"{counts.left_out} left out; the last: {counts.last_problem}"
+    elif counts.never_arrived:
+        found.level, found.message = WARN, f"ROS lost {counts.never_arrived} messages before they arrived"
     found.values = {
         "taken": str(counts.taken),
+        "lost by ROS before they arrived": str(counts.never_arrived),
         "left out": str(counts.left_out),
         "thinned out": str(counts.thinned),
         "waiting for a transform": str(waiting),

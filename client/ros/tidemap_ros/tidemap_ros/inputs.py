@@ -13,6 +13,7 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan, PointCloud2
@@ -54,7 +55,16 @@ class Inputs:
         )
 
     def _listen(self, kind: Any, topic: str, callback: Any, qos: QoSProfile | int) -> None:
-        self._node.create_subscription(kind, topic, callback, qos, callback_group=self._group)
+        events = SubscriptionEventCallbacks(
+            message_lost=lambda lost: self._intake.never_arrived(int(lost.total_count_change))
+        )
+        try:
+            self._node.create_subscription(
+                kind, topic, callback, qos, callback_group=self._group, event_callbacks=events
+            )
+        except UnsupportedEventTypeError:
+            # This middleware does not tell what it loses.
+            self._node.create_subscription(kind, topic, callback, qos, callback_group=self._group)
 
     def _retry(self) -> None:
         if self._intake.waiting:

@@ -40,6 +40,8 @@ class Counts:
     thinned: int = 0
     left_out: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
+    never_arrived: int = 0
+    """Messages that ROS says it has lost before the node had them."""
     spool_refused: int = 0
     """Observations that the spool had no room for: lost."""
     last_problem: str = ""
@@ -228,6 +230,13 @@ class Intake:
                 return
             self._doors[name] = (mode, stamp)
         self.take(records.Value(name, stamp, float(mode == DOOR_OPEN)))
+
+    def never_arrived(self, count: int) -> None:
+        """ROS has lost messages on their way."""
+        with self._lock:
+            if self._counts.never_arrived == 0:
+                self._log(f"ROS lost {count} messages before they arrived: raise queue_depth, or set reliable")
+            self._counts.never_arrived += max(count, 0)
 
     # What becomes of them
 
