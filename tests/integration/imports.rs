@@ -96,7 +96,10 @@ fn a_recording_becomes_a_map_in_one_command_and_is_learned_once() {
 /// Checks that the walls of the room are occupied and its middle is free; returns the number of occupied cells.
 fn walls(daemon: &Daemon) -> usize {
     words(daemon, "update room").table();
-    let cells = words(daemon, "grid predict room --at 2025-01-06T00:00:10Z").table();
+    let out = tempfile::tempdir().expect("a folder");
+    let file = out.path().join("cells.csv");
+    words(daemon, &format!("grid predict room --at 2025-01-06T00:00:10Z --out {}", file.display())).table();
+    let cells = Table::parse(&std::fs::read_to_string(&file).expect("cells"));
     let (x, y, p) = (cells.numbers("x"), cells.numbers("y"), cells.numbers("probability"));
     let mut occupied = 0;
     for ((x, y), p) in x.into_iter().zip(y).zip(p) {
@@ -143,7 +146,7 @@ fn scans_without_a_place_are_counted_and_named() {
     }
     let file = written(&folder, "bare.bag", &bag, usize::MAX);
     let line = format!("import still {} --producer robot-1", file.display());
-    words(&daemon, &line).fails(1, &["where \"laser\" of /scan was is not known", "--frame laser"]);
+    words(&daemon, &line).fails(1, &["where \"laser\" of /scan was", "--frame laser"]);
     words(&daemon, "map show still").fails(1, &["still"]);
     let placed = words(&daemon, &format!("{line} --frame laser"));
     assert_eq!(counts(&placed.table(), "/scan"), [10, 0, 0]);
@@ -152,7 +155,7 @@ fn scans_without_a_place_are_counted_and_named() {
     let file = written(&folder, "moving.bag", &bag, usize::MAX);
     let moving = words(&daemon, &format!("import moving {} --producer robot-1", file.display()));
     assert_eq!(counts(&moving.table(), "/scan"), [6, 4, 0]);
-    for why in ["before the first transform from \"odom\" to \"laser\", 2 times", "after the last transform"] {
+    for why in ["before the first transform from \"odom\" to \"laser\"", "after the last transform"] {
         assert!(moving.stderr.contains(why), "{}", moving.stderr);
     }
 }

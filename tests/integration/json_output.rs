@@ -8,6 +8,7 @@ use std::{collections::BTreeSet, fs, path::Path};
 use serde_json::Value;
 use tempfile::tempdir;
 use tidemap_tests::{
+    bag::Bag,
     cli::{self, Outcome},
     daemon::{Daemon, Launch},
 };
@@ -343,6 +344,13 @@ fn check_upkeep(checked: &mut Checked, folder: &str) {
     checked.run("backup create", &format!("{folder}/backup"));
     checked.run("erase", "home --state anna");
     checked.run("bench observe", "--observations 1000 --streams 1 --states 4");
+    let mut bag = Bag::default();
+    bag.bool("/lamp", 1_736_121_600_000_000_000, true);
+    bag.write(Path::new(&format!("{folder}/lamp.bag")), usize::MAX);
+    let listed = checked.run("import", &format!("home {folder}/lamp.bag --list"));
+    assert_eq!((&listed[0]["becomes"], &listed[0]["accepted"]), (&"state lamp".into(), &Value::Null));
+    let imported = checked.run("import", &format!("home {folder}/lamp.bag --producer robot-2"));
+    assert_eq!(imported[0]["accepted"], 1);
     checked.run("sample", "");
     checked.run("sample", &format!("door {folder}/door"));
     checked.run("map delete", "home --yes");

@@ -99,7 +99,7 @@ impl Bag {
     pub fn transform(&mut self, topic: &str, nanos: i64, (parent, child): (&str, &str), [x, y, yaw]: [f64; 3]) {
         let definition = [
             "geometry_msgs/TransformStamped[] transforms",
-            &format!("geometry_msgs/TransformStamped\nHeader header\nstring child_frame_id\nTransform transform"),
+            "geometry_msgs/TransformStamped\nHeader header\nstring child_frame_id\nTransform transform",
             &format!("std_msgs/Header\n{HEADER}"),
             "geometry_msgs/Transform\nVector3 translation\nQuaternion rotation",
             "geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z",

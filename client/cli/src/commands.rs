@@ -205,9 +205,9 @@ enum Command {
     ///
     /// Scans, clouds and occupancy grids become observations of the grid, placed by the transforms of the recording;
     /// doors and booleans become states, poses and people positions, statistics of navigation traversals. --list shows
-    /// what is in a recording; --mapping makes states of any other topics. The map is created if it does not exist. Each
-    /// observation is sent exactly once: the same command again continues where it stopped. The exit status is 0 only
-    /// if nothing was refused.
+    /// what is in a recording; --mapping makes states of any other topics. The map is created if it does not exist.
+    /// Each observation is sent exactly once: the same command again continues where it stopped. The exit status is 0
+    /// only if nothing was refused.
     Import(Box<import::ImportArgs>),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]

@@ -20,7 +20,7 @@ use tidemap_client::{
 use crate::{
     failure, grids,
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
-    open_producer::OpenProducer,
+    open_producer::{Driven, OpenProducer},
     reports::SaidReporting,
     rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
@@ -72,9 +72,6 @@ impl PredictedRow {
         put(&run.entropies_bits, &mut self.entropies);
     }
 }
-
-/// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
-pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
 
 /// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
 type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);

@@ -14,7 +14,10 @@ use tidemap_client::{
     },
 };
 
-use crate::{client::Driven, failure, grids, waiting::wait};
+use crate::{failure, grids, waiting::wait};
+
+/// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
+pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
 
 /// Smallest length of a quaternion that still has a direction.
 const QUATERNION_MIN: f64 = 1e-6;
@@ -125,7 +128,8 @@ impl OpenProducer {
         self.scan(py, time_nanos, Scan::Cloud(cloud))
     }
 
-    /// Takes a grid that was seen: axes z, y, x; below 0 not seen, 0 free, above 0 occupied. The map remembers its size.
+    /// Takes a grid that was seen: axes z, y, x; below 0 not seen, 0 free, above 0 occupied. The map remembers its
+    /// size.
     fn send_grid(
         &self,
         py: Python<'_>,

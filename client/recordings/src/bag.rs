@@ -12,8 +12,8 @@ use std::{
 use crate::{
     chunk::{shortened, unpack},
     recording::{
-        BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, Message, RecordingError, Sink,
-        Topic,
+        BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, RecordedMessage, RecordingError,
+        Sink, Topic,
     },
     source::{ByteSource, Fields},
     topics::Topics,
@@ -73,7 +73,7 @@ struct BagReader<R> {
     header: Vec<u8>,
     data: Vec<u8>,
     unpacked: Vec<u8>,
-    connections: HashMap<u32, Connection>,
+    connections: HashMap<u32, BagConnection>,
     topics: Topics,
     is_closed: bool,
     chunks_stated: u32,
@@ -81,7 +81,7 @@ struct BagReader<R> {
     chunk_infos: u32,
 }
 
-struct Connection {
+struct BagConnection {
     topic: usize,
     name: String,
     type_name: String,
@@ -154,6 +154,9 @@ impl<R: Read> BagReader<R> {
         match header.op()? {
             OP_MESSAGE => {
                 self.place = "within a message";
+                if self.passes_over("the message", (position, length), MESSAGE_BYTES_MAX, sink)? {
+                    return Ok(());
+                }
                 self.take_data("the message", position, length, MESSAGE_BYTES_MAX)?;
                 let data = mem::take(&mut self.data);
                 let result = self.message(header, &data, sink);
@@ -171,6 +174,10 @@ impl<R: Read> BagReader<R> {
             }
             OP_CHUNK => {
                 self.place = "within a chunk; the chunks before were read";
+                if self.passes_over("the chunk", (position, length), BLOCK_BYTES_MAX, sink)? {
+                    self.chunks = self.chunks.saturating_add(1);
+                    return Ok(());
+                }
                 self.take_data("the chunk", position, length, BLOCK_BYTES_MAX)?;
                 let (data, mut unpacked) = (mem::take(&mut self.data), mem::take(&mut self.unpacked));
                 let result = self.chunk(header, &data, &mut unpacked, sink);
@@ -197,6 +204,23 @@ impl<R: Read> BagReader<R> {
                 Ok(self.source.skip(u64::from(length))?)
             }
         }
+    }
+
+    /// Passes over the data of a record that is too long.
+    fn passes_over(
+        &mut self,
+        what: &str,
+        (position, length): (u64, u32),
+        max: usize,
+        sink: &mut dyn Sink,
+    ) -> Result<bool, RecordingError> {
+        if length as usize <= max {
+            return Ok(false);
+        }
+        let what = format!("{what} at byte {position}");
+        sink.passed_over(&RecordingError::TooLarge { what, bytes: u64::from(length), max });
+        self.source.skip(u64::from(length))?;
+        Ok(true)
     }
 
     fn take_data(&mut self, what: &str, position: u64, length: u32, max: usize) -> Result<(), RecordingError> {
@@ -281,14 +305,15 @@ impl<R: Read> BagReader<R> {
         }
         if data.len() > MESSAGE_BYTES_MAX {
             let what = format!("a message of {:?} at byte {}", shortened(&connection.name), header.position);
-            return Err(RecordingError::TooLarge { what, bytes: data.len() as u64, max: MESSAGE_BYTES_MAX });
+            sink.passed_over(&RecordingError::TooLarge { what, bytes: data.len() as u64, max: MESSAGE_BYTES_MAX });
+            return Ok(());
         }
         let mut time = Fields(header.required("time")?);
         let (Some(secs), Some(nanos)) = (time.u32(), time.u32()) else {
             return Err(header.broken("has a field \"time\" of fewer than 8 bytes"));
         };
         let recorded_nanos = i64::from(secs) * SECOND_NANOS + i64::from(nanos);
-        let message = Message { topic: connection.topic, recorded_nanos, data };
+        let message = RecordedMessage { topic: connection.topic, recorded_nanos, data };
         Ok(sink.message(message, self.source.position())?)
     }
 
@@ -314,7 +339,7 @@ impl<R: Read> BagReader<R> {
                     is_latched: about.field("latching") == Some(b"1"),
                 };
                 let topic = self.topics.add(&topic, sink)?;
-                place.insert(Connection { topic, name, type_name });
+                place.insert(BagConnection { topic, name, type_name });
                 Ok(())
             }
         }

@@ -1,7 +1,7 @@
 //! Definitions of the usual types, for recordings that hold none, as those of rosbag2 before 2023.
 //!
-//! Invariant: the fields are those of the published types, in their order. Where a type changed between versions of ROS,
-//! it is not here: its bytes could not be read with certainty.
+//! Invariant: the fields are those of the published types, in their order. A type that changed between versions of ROS
+//! is not here: its bytes could not be read with certainty.
 
 use crate::definition::{self, Definition};
 

@@ -16,10 +16,13 @@ use crate::{
     known::{self, Cloud, Grid, GridUpdate, KnownError, LaserScan},
     mapping::{PositionRule, StateRule, TraversalRule, ValueKind, ValueRule, shown},
     message::Value,
-    plan::{GridUse, Plan, TopicPlan},
+    plan::{FrameChoice, GridUse, Plan, TopicPlan},
     recording::Topic,
-    survey::{Connection, Surveyed, TopicTable, connection},
+    survey::{Surveyed, TopicReader, TopicTable, connection},
 };
+
+/// Maximum number of characters of a value in a message.
+const SHOWN_CHARS: usize = 80;
 
 /// Which clock gives the times of observations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -141,9 +144,17 @@ pub enum NotMade {
     /// No frame was chosen: the recording has no transforms.
     #[error("the recording has no transforms, so where {0:?} was is not known")]
     NoFrame(String),
-    /// The mapping leaves the value out.
-    #[error("the value {0:?} means nothing in the mapping")]
+    /// The value stands for none of the state.
+    #[error("the value {0:?} stands for no value of the state")]
     LeftOut(String),
+    /// The sensor has seen nothing, or the grid has no known cells.
+    #[error("{0}")]
+    Nothing(&'static str),
+    /// The rays of a cloud in a frame that does not move have no known beginning.
+    #[error(
+        "its points are in {0:?} already, so where the sensor was is not known; --frame {0} takes it as the sensor's place"
+    )]
+    NoSensor(String),
     /// Its values are wrong.
     #[error("{0}")]
     Wrong(String),
@@ -163,7 +174,7 @@ pub struct Converter {
     clock: Clock,
     merge: Option<CellSize>,
     table: TopicTable,
-    connections: Vec<Connection>,
+    connections: Vec<TopicReader>,
     /// The last grid of each topic of grids whose changes are taken.
     grids: BTreeMap<usize, (PlacedGrid, String)>,
 }
@@ -231,13 +242,25 @@ impl Converter {
         }
     }
 
+    /// As [`Converter::pose`], for a sensor. Points that somebody has put into a frame that does not move come from
+    /// elsewhere.
+    fn sensor_pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
+        if self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {
+            return Err(NotMade::NoSensor(frame.to_owned()));
+        }
+        self.pose(frame, stamp_nanos)
+    }
+
     fn grid(&mut self, grid: GridUse, index: usize, message: &Value<'_>, stamp: i64) -> Result<Made, NotMade> {
         let frame = known::frame(message);
         match grid {
             GridUse::Scans => {
                 let scan = LaserScan::read(message)?;
-                let pose = self.pose(&frame, stamp)?;
-                let ranges_m = scan.ranges_m().map(|range| taken_range(&scan, range)).collect();
+                let pose = self.sensor_pose(&frame, stamp)?;
+                let ranges_m: Vec<f32> = scan.ranges_m().map(|range| taken_range(&scan, range)).collect();
+                if ranges_m.iter().all(|range| range.is_nan()) {
+                    return Err(NotMade::Nothing("the scan has no valid range"));
+                }
                 let LaserScan { angle_min_rad, angle_increment_rad, range_min_m, range_max_m, .. } = scan;
                 let placed =
                     PlacedScan { pose, angle_min_rad, angle_increment_rad, range_min_m, range_max_m, ranges_m };
@@ -245,7 +268,7 @@ impl Converter {
             }
             GridUse::Clouds => {
                 let cloud = Cloud::read(message)?;
-                let pose = self.pose(&frame, stamp)?;
+                let pose = self.sensor_pose(&frame, stamp)?;
                 let finite = cloud.points().filter(|point| point.iter().all(|along| along.is_finite()));
                 let (points_m, points_before) = match self.merge {
                     Some(cell) => merged::points(finite, &pose, cell),
@@ -255,13 +278,19 @@ impl Converter {
                         (points, count)
                     }
                 };
+                if points_m.is_empty() {
+                    return Err(NotMade::Nothing("the cloud has no finite point"));
+                }
                 Ok(Made::Cloud(PlacedCloud { pose, points_m, points_before }))
             }
             GridUse::Grids => {
                 let grid = Grid::read(message)?;
                 let place = if frame.is_empty() { Isometry3::identity() } else { self.pose(&frame, stamp)? };
                 let Grid { resolution_m, width, height, origin, .. } = grid;
-                let percents = grid.percents().collect();
+                let percents: Vec<i8> = grid.percents().collect();
+                if percents.iter().all(|percent| *percent < 0) {
+                    return Err(NotMade::Nothing("the grid has no known cell"));
+                }
                 let placed = PlacedGrid { resolution_m, width, height, origin: place * origin, percents };
                 let has_changes = self.plan.topics.iter().any(|plan| plan.grid == Some(GridUse::GridChanges(index)));
                 if has_changes {
@@ -311,11 +340,11 @@ impl Converter {
 }
 
 fn no_name() -> NotMade {
-    NotMade::Wrong("a field of the state's name is missing".to_owned())
+    NotMade::Wrong("a field of the state's name is missing, or the name is too long".to_owned())
 }
 
-/// A range as the grid takes it. By REP 117, infinity is no echo, minus infinity an object too near, and NaN no reading;
-/// readings outside of the sensor's limits say nothing.
+/// A range as the grid takes it. By REP 117, infinity is no echo, minus infinity an object too near, and NaN no
+/// reading; readings outside of the sensor's limits say nothing.
 fn taken_range(scan: &LaserScan<'_>, range_m: f64) -> f32 {
     if scan.is_valid(range_m) || range_m == f64::INFINITY { range_m as f32 } else { f32::NAN }
 }
@@ -353,7 +382,7 @@ fn one_state(rule: usize, state: &StateRule, element: &Value<'_>) -> Result<Made
         ValueRule::Same(value) => made(*value),
         ValueRule::Table(table) => {
             let word = word()?;
-            let to = table.get(&word).ok_or(NotMade::LeftOut(word))?;
+            let to = table.get(&word).ok_or_else(|| NotMade::LeftOut(word.chars().take(SHOWN_CHARS).collect()))?;
             if state.kind == ValueKind::Categorical {
                 Ok(Made::Label { state: name, label: to.clone(), rule })
             } else {

@@ -104,10 +104,10 @@ pub enum Count {
 
 /// A field of a type.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Field {
-    /// Its name.
+pub struct FieldDefinition {
+    /// Name of the field.
     pub name: String,
-    /// Its type.
+    /// Type of the field, or of its elements.
     pub field_type: FieldType,
     /// How many values it has.
     pub count: Count,
@@ -116,7 +116,7 @@ pub struct Field {
 /// A constant of a type, such as `MODE_CLOSED = 0`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Constant {
-    /// Its name.
+    /// Name of the constant.
     pub name: String,
     /// Its value as the definition writes it.
     pub value: String,
@@ -126,8 +126,8 @@ pub struct Constant {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Definition {
     /// Its fields, in the order in which a message has them.
-    pub fields: Vec<Field>,
-    /// Its constants.
+    pub fields: Vec<FieldDefinition>,
+    /// Constants of the type.
     pub constants: Vec<Constant>,
 }
 
@@ -247,7 +247,7 @@ fn parse_line(package: &str, line: &str, definition: &mut Definition) -> Option<
         Some(primitive) => FieldType::Primitive(primitive),
         None => FieldType::Named(full_name(package, base)?),
     };
-    definition.fields.push(Field { name: name.to_owned(), field_type, count });
+    definition.fields.push(FieldDefinition { name: name.to_owned(), field_type, count });
     Some(())
 }
 
@@ -295,7 +295,8 @@ mod tests {
                     MSG: rmf_door_msgs/msg/DoorMode\nuint32 value\n";
         let types = parse("rmf_door_msgs/msg/DoorState", text)?;
         let door = types.get("rmf_door_msgs/DoorState").cloned().unwrap_or_default();
-        let field = |name: &str, field_type: FieldType, count| Field { name: name.to_owned(), field_type, count };
+        let field =
+            |name: &str, field_type: FieldType, count| FieldDefinition { name: name.to_owned(), field_type, count };
         let named = |name: &str| FieldType::Named(name.to_owned());
         assert_eq!(
             door.fields,

@@ -1,17 +1,22 @@
 //! Frames of a robot and the transforms between them: the tree of tf.
 //!
-//! Invariant: a static transform holds for all time; another one only between its first and its last sample, and between
+//! Invariant: a static transform holds for all time; another one only between its first and its last sample. Between
 //! two samples it is interpolated: the translation along a line, the rotation along the shorter arc. The number of
 //! samples is bounded.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-/// Maximum number of samples of all transforms, 72 bytes each.
-pub const SAMPLES_MAX: usize = 1_000_000;
+/// Maximum number of samples of all transforms, 64 bytes each.
+pub const SAMPLES_MAX: usize = 600_000;
 /// Maximum number of frames.
 const FRAMES_MAX: usize = 10_000;
+/// Maximum number of parents of a frame, and of frames that are named as conflicts.
+const PARENTS_MAX: usize = 4;
+const CONFLICTS_MAX: usize = 10;
+/// Maximum number of bytes of a frame's name.
+pub const FRAME_BYTES_MAX: usize = 256;
 /// Maximum number of links from a frame to the root.
 const DEPTH_MAX: usize = 256;
 
@@ -77,21 +82,33 @@ pub enum TransformError {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct PoseSample {
     time_nanos: i64,
     pose: Isometry3<f64>,
 }
 
 #[derive(Clone, Debug)]
 enum Link {
-    Static { parent: String, pose: Isometry3<f64> },
-    Moving { parent: String, samples: Vec<Sample>, is_sorted: bool },
+    Static {
+        parent: String,
+        pose: Isometry3<f64>,
+    },
+    /// The samples of each parent that was named for the frame; only the first counts once all are known.
+    Moving(Vec<Track>),
+}
+
+#[derive(Clone, Debug)]
+struct Track {
+    parent: String,
+    samples: Vec<PoseSample>,
+    is_sorted: bool,
 }
 
 impl Link {
     fn parent(&self) -> &str {
         match self {
-            Self::Static { parent, .. } | Self::Moving { parent, .. } => parent,
+            Self::Static { parent, .. } => parent,
+            Self::Moving(tracks) => tracks.first().map_or("", |track| &track.parent),
         }
     }
 }
@@ -101,6 +118,7 @@ impl Link {
 pub struct Frames {
     links: HashMap<String, Link>,
     samples: usize,
+    conflicts: BTreeSet<String>,
 }
 
 /// A frame's name without the leading slash of old recordings.
@@ -117,42 +135,73 @@ pub fn pose([x, y, z]: [f64; 3], [i, j, k, w]: [f64; 4]) -> Option<Isometry3<f64
 }
 
 impl Frames {
-    /// Takes a transform. A frame whose parent changes keeps the newer parent's samples alone.
+    /// Takes a transform. Of a frame with several parents, those transforms count of which there are more; static ones
+    /// count before others. Frames of which transforms do not agree are among [`Frames::conflicts`].
     ///
     /// # Errors
-    /// There are too many samples.
+    /// There are too many samples, or too many frames.
     pub fn add(&mut self, transform: Transform, is_static: bool) -> Result<(), TransformError> {
-        if self.samples >= SAMPLES_MAX || self.links.len() >= FRAMES_MAX {
+        let Transform { parent, child, time_nanos, pose } = transform;
+        if !self.links.contains_key(&child) && self.links.len() >= FRAMES_MAX {
             return Err(TransformError::TooMany);
         }
-        let Transform { parent, child, time_nanos, pose } = transform;
         if is_static {
+            match self.links.get(&child) {
+                Some(Link::Static { parent: before, pose: old }) if *before == parent && is_near(old, &pose) => {}
+                Some(_) => self.conflict(&child),
+                None => {}
+            }
             self.links.insert(child, Link::Static { parent, pose });
             return Ok(());
         }
-        self.samples += 1;
-        let sample = Sample { time_nanos, pose };
-        match self.links.get_mut(&child) {
-            Some(Link::Moving { parent: before, samples, is_sorted }) if *before == parent => {
-                *is_sorted &= samples.last().is_none_or(|last| last.time_nanos < time_nanos);
-                samples.push(sample);
-            }
+        if self.samples >= SAMPLES_MAX {
+            return Err(TransformError::TooMany);
+        }
+        let sample = PoseSample { time_nanos, pose };
+        let is_conflict = match self.links.entry(child.clone()).or_insert_with(|| Link::Moving(Vec::new())) {
             // What was said to hold for all time is not taken back by one message.
-            Some(Link::Static { parent: before, .. }) if *before == parent => {}
-            _ => {
-                self.links.insert(child, Link::Moving { parent, samples: vec![sample], is_sorted: true });
+            Link::Static { parent: before, pose: old } => *before != parent || !is_near(old, &pose),
+            Link::Moving(tracks) => {
+                self.samples += 1;
+                let count = tracks.len();
+                match tracks.iter_mut().find(|track| track.parent == parent) {
+                    Some(track) => {
+                        track.is_sorted &= track.samples.last().is_none_or(|last| last.time_nanos < time_nanos);
+                        track.samples.push(sample);
+                    }
+                    None if count < PARENTS_MAX => {
+                        tracks.push(Track { parent, samples: vec![sample], is_sorted: true });
+                    }
+                    None => {}
+                }
+                count > 0 && tracks.len() > 1
             }
+        };
+        if is_conflict {
+            self.conflict(&child);
         }
         Ok(())
     }
 
-    /// Sorts what came out of order; call it once after the last transform. Of two samples of one time the later one
-    /// counts.
+    fn conflict(&mut self, child: &str) {
+        if self.conflicts.len() < CONFLICTS_MAX && !self.conflicts.contains(child) {
+            self.conflicts.insert(child.to_owned());
+        }
+    }
+
+    /// Frames whose parent or static pose changed, some of them if there are many.
+    pub fn conflicts(&self) -> impl Iterator<Item = &str> {
+        self.conflicts.iter().map(String::as_str)
+    }
+
+    /// Chooses parents and sorts what came out of order; call it once after the last transform. Of two samples of one
+    /// time the later one counts.
     pub fn finish(&mut self) {
         for link in self.links.values_mut() {
-            if let Link::Moving { samples, is_sorted, .. } = link
-                && !*is_sorted
-            {
+            let Link::Moving(tracks) = link else { continue };
+            tracks.sort_by_key(|track| std::cmp::Reverse(track.samples.len()));
+            tracks.truncate(1);
+            for Track { samples, is_sorted, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {
                 samples.sort_by_key(|sample| sample.time_nanos);
                 samples.reverse();
                 samples.dedup_by_key(|sample| sample.time_nanos);
@@ -160,6 +209,17 @@ impl Frames {
                 *is_sorted = true;
             }
         }
+    }
+
+    /// Whether a frame moves within its parent.
+    pub fn moves(&self, frame: &str) -> bool {
+        matches!(self.links.get(frame), Some(Link::Moving(_)))
+    }
+
+    /// Whether transforms connect two frames.
+    pub fn connects(&self, frame: &str, within: &str) -> bool {
+        let chain = self.chain(frame);
+        frame == within || self.chain(within).iter().any(|name| chain.contains(name))
     }
 
     /// Whether there are no transforms.
@@ -221,7 +281,10 @@ impl Frames {
         match self.links.get(child) {
             None => Err(FrameError::Unknown(child.to_owned())),
             Some(Link::Static { pose, .. }) => Ok(*pose),
-            Some(Link::Moving { parent, samples, .. }) => {
+            Some(Link::Moving(tracks)) => {
+                let Some(Track { parent, samples, .. }) = tracks.first() else {
+                    return Err(FrameError::Unknown(child.to_owned()));
+                };
                 let after = samples.partition_point(|sample| sample.time_nanos < time_nanos);
                 let names = || (parent.clone(), child.to_owned());
                 match (after.checked_sub(1).and_then(|before| samples.get(before)), samples.get(after)) {
@@ -241,8 +304,14 @@ impl Frames {
     }
 }
 
+/// Whether two poses are the same but for rounding.
+fn is_near(one: &Isometry3<f64>, other: &Isometry3<f64>) -> bool {
+    let apart = one.translation.vector - other.translation.vector;
+    apart.norm() < 1e-6 && one.rotation.angle_to(&other.rotation) < 1e-6
+}
+
 /// The pose between two samples.
-fn between(before: &Sample, after: &Sample, time_nanos: i64) -> Isometry3<f64> {
+fn between(before: &PoseSample, after: &PoseSample, time_nanos: i64) -> Isometry3<f64> {
     let elapsed = |to: i64| i128::from(to) - i128::from(before.time_nanos);
     let share = elapsed(time_nanos) as f64 / elapsed(after.time_nanos) as f64;
     let (from, to) = (before.pose.translation.vector, after.pose.translation.vector);
@@ -299,6 +368,24 @@ mod tests {
         assert_eq!(frames.pose("a", "b", 0), Err(not_connected));
         assert_eq!(frames.pose("c", "b", 0), Err(FrameError::Unknown("c".to_owned())));
         assert!(frames.pose("c", "c", 0).is_ok(), "a frame within itself needs no transform");
+    }
+
+    #[test]
+    fn of_two_parents_the_one_with_more_transforms_counts_and_both_are_told() {
+        let mut frames = Frames::default();
+        for time in 0..9 {
+            add(&mut frames, "odom", "base", time, turned(1.0, 0.0), false);
+            if time % 3 == 0 {
+                add(&mut frames, "map", "base", time, turned(5.0, 0.0), false);
+            }
+        }
+        frames.finish();
+        assert!(frames.pose("base", "odom", 7).is_ok_and(|pose| pose.translation.x == 1.0));
+        assert_eq!(frames.conflicts().collect::<Vec<_>>(), ["base"]);
+        add(&mut frames, "base", "laser", 0, turned(0.0, 0.0), true);
+        add(&mut frames, "base", "laser", 0, turned(0.5, 0.0), true);
+        assert_eq!(frames.conflicts().collect::<Vec<_>>(), ["base", "laser"]);
+        assert!(frames.moves("base") && !frames.moves("laser") && frames.connects("laser", "odom"));
     }
 
     #[test]

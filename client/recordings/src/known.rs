@@ -13,7 +13,7 @@ pub use self::{
 };
 
 use crate::{
-    frames::{self, Transform, frame_name},
+    frames::{self, FRAME_BYTES_MAX, Transform, frame_name},
     message::{Numbers, Value},
 };
 
@@ -89,10 +89,14 @@ pub fn stamp(message: &Value<'_>) -> Option<i64> {
     })
 }
 
-/// The frame in which a message was measured, without a leading slash; empty if it names none.
+/// The frame in which a message was measured, without a leading slash; empty if it names none, or one that is too long.
 pub fn frame(message: &Value<'_>) -> String {
-    let name = message.at(&["header", "frame_id"]).and_then(Value::text).unwrap_or_default();
-    frame_name(&name).to_owned()
+    match message.at(&["header", "frame_id"]) {
+        Some(Value::Text(bytes)) if bytes.len() <= FRAME_BYTES_MAX => {
+            frame_name(&String::from_utf8_lossy(bytes)).to_owned()
+        }
+        _ => String::new(),
+    }
 }
 
 /// A scan of a planar range finder, `sensor_msgs/LaserScan`.
@@ -170,8 +174,8 @@ fn transform(message: &Value<'_>) -> TransformRead {
     let time_nanos = stamp(message).ok_or_else(|| fields.missing(&["header", "stamp"]))?;
     let child = frame_name(&fields.text(&["child_frame_id"])?).to_owned();
     let parent = frame(message);
-    if child.is_empty() || parent.is_empty() || child == parent {
-        return Err(KnownError::Values(format!("a transform from {parent:?} to {child:?}")));
+    if child.is_empty() || parent.is_empty() || child == parent || child.len() > FRAME_BYTES_MAX {
+        return Err(KnownError::Values("a transform without the names of two frames".to_owned()));
     }
     let pose = fields.pose(&["transform"], "translation", "rotation")?;
     Ok(Transform { parent, child, time_nanos, pose })

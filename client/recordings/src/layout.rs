@@ -38,7 +38,7 @@ pub struct Structure {
 /// A field with what it is.
 #[derive(Debug, PartialEq, Eq)]
 pub struct LaidField {
-    /// Its name.
+    /// Name of the field.
     pub name: String,
     /// What its values are.
     pub kind: Kind,

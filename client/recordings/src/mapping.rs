@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 pub(crate) use self::rule::shown;
-pub use self::rule::{Place, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
+pub use self::rule::{FieldPlace, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
 
 /// What to make of a recording's topics, in addition to or instead of what is made by default.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -13,8 +13,8 @@ use std::{
 use crate::{
     chunk::{cdr_bytes, shortened, unpack},
     recording::{
-        BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, Message, RecordingError, Sink,
-        Topic,
+        BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, RecordedMessage, RecordingError,
+        Sink, Topic,
     },
     source::{ByteSource, Fields},
     topics::{Topics, bare_type, check_definitions, is_transient_local},
@@ -96,7 +96,13 @@ impl<R: Read> McapReader<R> {
             self.place = place;
             let Some(count) = usize::try_from(length).ok().filter(|count| *count <= max) else {
                 let what = format!("{what} at byte {position}");
-                return Err(RecordingError::TooLarge { what, bytes: length, max });
+                let error = RecordingError::TooLarge { what, bytes: length, max };
+                if !matches!(op, OP_MESSAGE | OP_CHUNK) {
+                    return Err(error);
+                }
+                sink.passed_over(&error);
+                self.source.skip(length)?;
+                continue;
             };
             self.source.take_into(&mut self.record, count)?;
             let record = mem::take(&mut self.record);
@@ -305,7 +311,7 @@ impl Messages {
             RecordingError::Broken(format!("{} has the time {recorded} ns, after the year 2262", what()))
         })?;
         let data = if channel.is_cdr { cdr_bytes(data, &mut self.unpacked, what)? } else { data };
-        sink.message(Message { topic: channel.topic, recorded_nanos, data }, bytes_read)?;
+        sink.message(RecordedMessage { topic: channel.topic, recorded_nanos, data }, bytes_read)?;
         Ok(Some(()))
     }
 }

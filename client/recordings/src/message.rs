@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 pub use self::path::{Path, PathError};
 
-use self::cursor::Cursor;
+use self::cursor::MessageCursor;
 use crate::{
     definition::{Count, Primitive},
     layout::{Kind, LaidField, Structure},
@@ -180,14 +180,14 @@ impl<'a> Value<'a> {
 /// The bytes end early, hold too many values, or are of an encoding that is not read.
 pub fn read<'a>(layout: &Arc<Structure>, encoding: &Encoding, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
     let mut cursor = match encoding {
-        Encoding::Ros1 => Cursor::ros1(bytes),
-        Encoding::Cdr => Cursor::cdr(bytes)?,
+        Encoding::Ros1 => MessageCursor::ros1(bytes),
+        Encoding::Cdr => MessageCursor::cdr(bytes)?,
         Encoding::Other(name) => return Err(MessageError::Encoding(name.clone())),
     };
     structure(layout, &mut cursor)
 }
 
-fn structure<'a>(layout: &Arc<Structure>, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+fn structure<'a>(layout: &Arc<Structure>, cursor: &mut MessageCursor<'a>) -> Result<Value<'a>, MessageError> {
     if layout.fields.is_empty() {
         cursor.empty_structure();
     }
@@ -198,7 +198,7 @@ fn structure<'a>(layout: &Arc<Structure>, cursor: &mut Cursor<'a>) -> Result<Val
     Ok(Value::Structure(layout.clone(), values))
 }
 
-fn field<'a>(laid: &LaidField, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+fn field<'a>(laid: &LaidField, cursor: &mut MessageCursor<'a>) -> Result<Value<'a>, MessageError> {
     cursor.count_value()?;
     let count = match laid.count {
         Count::One => return one(laid, cursor),
@@ -220,7 +220,7 @@ fn field<'a>(laid: &LaidField, cursor: &mut Cursor<'a>) -> Result<Value<'a>, Mes
     }
 }
 
-fn one<'a>(laid: &LaidField, cursor: &mut Cursor<'a>) -> Result<Value<'a>, MessageError> {
+fn one<'a>(laid: &LaidField, cursor: &mut MessageCursor<'a>) -> Result<Value<'a>, MessageError> {
     match &laid.kind {
         Kind::Primitive(primitive) => cursor.primitive(*primitive, &laid.name),
         Kind::Structure(inner) => structure(inner, cursor),

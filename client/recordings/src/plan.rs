@@ -85,6 +85,23 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// The cells of the grids, if grids alone are taken: their edge in metres, and where they begin, less than a cell
+    /// from the origin.
+    pub fn cells(&self, surveyed: &Surveyed) -> Option<(f64, [f64; 2])> {
+        let mut topics = surveyed.topics.iter().zip(&self.topics);
+        if topics.clone().any(|(_, plan)| matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))) {
+            return None;
+        }
+        let (topic, _) = topics.find(|(topic, plan)| plan.grid == Some(GridUse::Grids) && topic.grid.is_some())?;
+        let (resolution_m, origin_m) = topic.grid?;
+        let is_of_frame = self.frame.as_ref().is_none_or(|frame| *frame == topic.frame);
+        let within = |along: f64| {
+            let rest = along - (along / resolution_m).round() * resolution_m;
+            if is_of_frame && rest.abs() > 1e-6 * resolution_m { rest } else { 0.0 }
+        };
+        Some((resolution_m, origin_m.map(within)))
+    }
+
     /// Whether the scans and grids of the recording lie level, so that a flat grid can take them: there are no clouds,
     /// and no sensor leans.
     pub fn is_level(&self, surveyed: &Surveyed) -> bool {
@@ -158,12 +175,12 @@ pub fn plan(surveyed: &Surveyed, wishes: &Wishes) -> Result<Plan, PlanError> {
 
 fn topic_plan(topic: &TopicSurvey, wishes: &Wishes) -> Result<TopicPlan, PlanError> {
     let mapping = &wishes.mapping;
-    if is_transforms(&topic.type_name) {
-        return Ok(TopicPlan { is_transforms: true, ..TopicPlan::default() });
-    }
     let skipped = |why: String| Ok(TopicPlan { skipped: Some(why), ..TopicPlan::default() });
     if mapping.skip.contains(&topic.name) {
         return skipped("the mapping leaves it out".to_owned());
+    }
+    if is_transforms(&topic.type_name) {
+        return Ok(TopicPlan { is_transforms: true, ..TopicPlan::default() });
     }
     if !wishes.topics.is_empty() && !wishes.topics.contains(&topic.name) {
         return skipped("it is not among the topics that were asked for".to_owned());
@@ -295,7 +312,7 @@ fn state_name(topic: &str) -> String {
 fn prefer_scans(surveyed: &Surveyed, plans: &mut [TopicPlan], wishes: &Wishes) {
     let is_placed = |topic: &TopicSurvey, plan: &TopicPlan| {
         matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))
-            && (surveyed.frames.knows(&topic.frame) || wishes.frame.as_ref() == Some(&topic.frame))
+            && (has_moving_link(surveyed, &topic.frame) || wishes.frame.as_ref() == Some(&topic.frame))
     };
     let has_scans = surveyed.topics.iter().zip(&*plans).any(|(topic, plan)| is_placed(topic, plan));
     for (topic, plan) in surveyed.topics.iter().zip(plans) {
@@ -315,6 +332,11 @@ fn prefer_scans(surveyed: &Surveyed, plans: &mut [TopicPlan], wishes: &Wishes) {
             plan.skipped = Some(why.to_owned());
         }
     }
+}
+
+/// Whether a frame moves within another one.
+fn has_moving_link(surveyed: &Surveyed, frame: &str) -> bool {
+    surveyed.frames.chain(frame).iter().any(|name| surveyed.frames.moves(name))
 }
 
 /// Finds the topic whose grids the changes of another topic are of: `/map_updates` goes with `/map`.

@@ -14,7 +14,7 @@ pub const UNPACKED_BYTES_MAX: usize = 64 << 20;
 /// Maximum number of topics of a recording, or of its connections if one topic has several.
 pub const TOPICS_MAX: usize = 10_000;
 /// Maximum number of bytes of all definitions of a recording's messages.
-pub const DEFINITION_BYTES_MAX: usize = 16 << 20;
+pub const DEFINITION_BYTES_MAX: usize = 4 << 20;
 
 /// How the bytes of a topic's messages are laid out.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -45,7 +45,7 @@ pub struct Topic {
 
 /// A message of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Message<'a> {
+pub struct RecordedMessage<'a> {
     /// Index of its topic among the topics that the reader has found, in the order in which it found them.
     pub topic: usize,
     /// When it was recorded, nanoseconds since 1970.
@@ -64,7 +64,10 @@ pub trait Sink {
     ///
     /// # Errors
     /// An error ends the reading, as [`RecordingError::Stopped`].
-    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped>;
+    fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped>;
+
+    /// Is told of a part of the file that is too long to be read, and that is passed over.
+    fn passed_over(&mut self, _why: &RecordingError) {}
 }
 
 /// Who takes the messages wants no more of them.

@@ -9,7 +9,7 @@ use std::{
 
 use crate::{
     chunk::cdr_bytes,
-    recording::{Encoding, Ending, Message, RecordingError, Sink, Topic},
+    recording::{Encoding, Ending, RecordedMessage, RecordingError, Sink, Topic},
     sqlite::{Database, Table, TableRow, row::Value},
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
@@ -139,7 +139,13 @@ fn read_messages<R: Read + Seek>(
         {
             continue;
         }
-        database.complete(&mut walk, &mut row)?;
+        match database.complete(&mut walk, &mut row) {
+            Err(error @ RecordingError::TooLarge { .. }) => {
+                sink.passed_over(&error);
+                continue;
+            }
+            completed => completed?,
+        }
         let id = integer(&row, table, topic_id, "messages")?;
         let Some((topic, is_cdr)) = topics.get(&id).filter(|(topic, _)| found.is_wanted(*topic)) else { continue };
         let recorded_nanos = integer(&row, table, timestamp, "messages")?;
@@ -148,7 +154,7 @@ fn read_messages<R: Read + Seek>(
         };
         let what = || format!("the message in row {} of the table \"messages\"", row.number());
         let bytes = if *is_cdr { cdr_bytes(bytes, &mut unpacked, what)? } else { bytes };
-        sink.message(Message { topic: *topic, recorded_nanos, data: bytes }, database.bytes_read())?;
+        sink.message(RecordedMessage { topic: *topic, recorded_nanos, data: bytes }, database.bytes_read())?;
     }
     Ok(())
 }

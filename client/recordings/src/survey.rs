@@ -1,7 +1,7 @@
 //! What is in a recording: its topics, how many messages each has and of which times, and the frames.
 //!
-//! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the first
-//! reason; none ends the survey.
+//! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the
+//! first reason; none ends the survey.
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -11,10 +11,10 @@ use std::{
 use crate::{
     definition::Constant,
     frames::{Frames, TransformError, frame_name},
-    known,
+    known::{self, Grid},
     layout::{self, Structure},
     message::{self, Value},
-    recording::{Message, Sink, Stopped, Topic},
+    recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 
 /// Types whose messages are transforms.
@@ -22,14 +22,14 @@ const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
 
 /// First and last of some times, nanoseconds since 1970.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Span {
+pub struct TimeSpan {
     /// The earliest.
     pub first_nanos: i64,
     /// The latest.
     pub last_nanos: i64,
 }
 
-impl Span {
+impl TimeSpan {
     fn extend(span: &mut Option<Self>, time_nanos: i64) {
         *span = Some(match *span {
             None => Self { first_nanos: time_nanos, last_nanos: time_nanos },
@@ -43,16 +43,16 @@ impl Span {
 /// A topic of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicSurvey {
-    /// Its name.
+    /// Name of the topic.
     pub name: String,
     /// Its type, without the folder of ROS 2.
     pub type_name: String,
     /// Number of messages.
     pub messages: u64,
     /// When they were recorded.
-    pub recorded: Option<Span>,
+    pub recorded: Option<TimeSpan>,
     /// The times for which they hold, if they have such times.
-    pub stamps: Option<Span>,
+    pub stamps: Option<TimeSpan>,
     /// Frame of the first message that names one, without a leading slash.
     pub frame: String,
     /// Number of messages that cannot be read.
@@ -61,6 +61,9 @@ pub struct TopicSurvey {
     pub problem: Option<String>,
     /// Its fields, unless its definition cannot be read.
     pub layout: Option<Arc<Structure>>,
+    /// Of a topic of occupancy grids: the edge of a cell of the first grid, metres, and where its first cell begins in
+    /// its frame.
+    pub grid: Option<(f64, [f64; 2])>,
 }
 
 impl TopicSurvey {
@@ -72,14 +75,14 @@ impl TopicSurvey {
 
 /// How the messages of a topic are read.
 #[derive(Clone, Debug)]
-pub(crate) struct Connection {
+pub(crate) struct TopicReader {
     /// Index of the topic among those of the survey.
     pub(crate) topic: usize,
     pub(crate) layout: Result<Arc<Structure>, String>,
     pub(crate) encoding: crate::recording::Encoding,
 }
 
-impl Connection {
+impl TopicReader {
     pub(crate) fn read<'a>(&self, data: &'a [u8]) -> Result<Value<'a>, String> {
         let layout = self.layout.as_ref().map_err(String::clone)?;
         message::read(layout, &self.encoding, data).map_err(|error| error.to_string())
@@ -99,10 +102,10 @@ impl TopicTable {
     }
 }
 
-pub(crate) fn connection(topic: &Topic, index: usize) -> Connection {
+pub(crate) fn connection(topic: &Topic, index: usize) -> TopicReader {
     let layout =
         layout::of_type(&topic.type_name, &topic.definition, &topic.encoding).map_err(|error| error.to_string());
-    Connection { topic: index, layout, encoding: topic.encoding.clone() }
+    TopicReader { topic: index, layout, encoding: topic.encoding.clone() }
 }
 
 /// Surveys a recording: give it to a reader as the sink, for each file of the recording after [`Survey::next_file`].
@@ -110,7 +113,7 @@ pub(crate) fn connection(topic: &Topic, index: usize) -> Connection {
 pub struct Survey {
     topics: Vec<TopicSurvey>,
     table: TopicTable,
-    connections: Vec<Connection>,
+    connections: Vec<TopicReader>,
     frames: Frames,
     /// Children whose transforms are kept; all if absent.
     kept: Option<HashSet<String>>,
@@ -119,22 +122,31 @@ pub struct Survey {
     parents: BTreeMap<String, String>,
     bad_transforms: u64,
     position: u64,
-    watch: Option<Watch>,
+    watch: Option<ReadWatch>,
+    /// Topics whose transforms are left out.
+    skipped: Vec<String>,
+    passed_over: u64,
+    first_passed_over: Option<String>,
 }
 
 /// Is told how many bytes have been read.
-struct Watch(Box<dyn FnMut(u64)>);
+struct ReadWatch(Box<dyn FnMut(u64)>);
 
-impl std::fmt::Debug for Watch {
+impl std::fmt::Debug for ReadWatch {
     fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        to.write_str("Watch")
+        to.write_str("ReadWatch")
     }
 }
 
 impl Survey {
+    /// Leaves out the transforms of some topics.
+    pub fn without_transforms_of(topics: &[String]) -> Self {
+        Self { skipped: topics.to_vec(), ..Self::default() }
+    }
+
     /// Watches how many bytes of the current file have been read.
     pub fn watch(&mut self, watch: impl FnMut(u64) + 'static) {
-        self.watch = Some(Watch(Box::new(watch)));
+        self.watch = Some(ReadWatch(Box::new(watch)));
     }
 
     /// Begins the next file of the recording.
@@ -143,11 +155,11 @@ impl Survey {
     }
 
     /// Begins again with the first file, and keeps only the transforms between frames of sensors and their roots: for
-    /// recordings with more transforms than can be kept.
-    pub fn again_with_sensors(&mut self) {
+    /// recordings with more transforms than can be kept. `asked`: the frame in which everything is to be placed.
+    pub fn again_with_sensors(&mut self, asked: Option<&str>) {
         let mut kept = HashSet::new();
-        for topic in &self.topics {
-            let mut frame = topic.frame.as_str();
+        let usual = ["map", "odom"].into_iter().chain(asked.map(frame_name));
+        for mut frame in self.topics.iter().map(|topic| topic.frame.as_str()).chain(usual) {
             while let Some(parent) = self.parents.get(frame) {
                 if !kept.insert(frame.to_owned()) {
                     break;
@@ -155,13 +167,11 @@ impl Survey {
                 frame = parent;
             }
         }
-        for root in ["map", "odom"] {
-            kept.insert(root.to_owned());
-        }
         *self = Self {
             kept: Some(kept),
             parents: std::mem::take(&mut self.parents),
             watch: self.watch.take(),
+            skipped: std::mem::take(&mut self.skipped),
             ..Self::default()
         };
     }
@@ -179,15 +189,19 @@ impl Survey {
             frames: self.frames,
             bad_transforms: self.bad_transforms,
             has_too_many_transforms: self.too_many,
+            passed_over: self.first_passed_over.map(|first| (self.passed_over, first)),
         }
     }
 
-    fn transforms(&mut self, message: &Value<'_>, is_static: bool) -> Result<(), String> {
+    fn transforms(&mut self, message: &Value<'_>, recorded_nanos: i64, is_static: bool) -> Result<(), String> {
         for transform in known::transforms(message).map_err(|error| error.to_string())? {
-            let Ok(transform) = transform else {
+            let Ok(mut transform) = transform else {
                 self.bad_transforms += 1;
                 continue;
             };
+            if transform.time_nanos == 0 {
+                transform.time_nanos = recorded_nanos;
+            }
             if self.parents.len() < crate::recording::TOPICS_MAX {
                 self.parents.insert(transform.child.clone(), transform.parent.clone());
             }
@@ -207,12 +221,14 @@ impl Survey {
 pub struct Surveyed {
     /// Its topics, in the order in which they were found.
     pub topics: Vec<TopicSurvey>,
-    /// Its frames.
+    /// The tree of its frames.
     pub frames: Frames,
     /// Number of transforms that are none: not finite, or without names.
     pub bad_transforms: u64,
     /// Whether it has more transforms than can be kept, so that some are missing.
     pub has_too_many_transforms: bool,
+    /// Number of messages and blocks that are too long to be read, and what is said of the first.
+    pub passed_over: Option<(u64, String)>,
 }
 
 /// Whether the messages of a type are transforms.
@@ -235,14 +251,20 @@ impl Sink for Survey {
                 unread: 0,
                 problem: None,
                 layout: connection.layout.clone().ok(),
+                grid: None,
             });
         }
         self.connections.push(connection);
         true
     }
 
-    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
-        if let Some(Watch(watch)) = &mut self.watch
+    fn passed_over(&mut self, why: &RecordingError) {
+        self.passed_over += 1;
+        self.first_passed_over.get_or_insert_with(|| why.to_string());
+    }
+
+    fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped> {
+        if let Some(ReadWatch(watch)) = &mut self.watch
             && position != self.position
         {
             self.position = position;
@@ -253,18 +275,25 @@ impl Sink for Survey {
         let read = connection.read(message.data);
         let Some(topic) = self.topics.get_mut(index) else { return Ok(()) };
         topic.messages += 1;
-        Span::extend(&mut topic.recorded, message.recorded_nanos);
+        TimeSpan::extend(&mut topic.recorded, message.recorded_nanos);
         let problem = match read {
             Ok(value) => {
-                if let Some(stamp) = known::stamp(&value) {
-                    Span::extend(&mut topic.stamps, stamp);
+                if topic.grid.is_none() && topic.type_name == "nav_msgs/OccupancyGrid" {
+                    topic.grid = Grid::read(&value).ok().map(|grid| {
+                        let at = grid.origin.translation.vector;
+                        (grid.resolution_m, [at.x, at.y])
+                    });
+                }
+                // A stamp of 0 was not set.
+                if let Some(stamp) = known::stamp(&value).filter(|stamp| *stamp != 0) {
+                    TimeSpan::extend(&mut topic.stamps, stamp);
                 }
                 if topic.frame.is_empty() {
                     topic.frame = known::frame(&value);
                 }
-                if is_transforms(&topic.type_name) {
+                if is_transforms(&topic.type_name) && !self.skipped.contains(&topic.name) {
                     let is_static = frame_name(&topic.name).ends_with("tf_static");
-                    self.transforms(&value, is_static).err()
+                    self.transforms(&value, message.recorded_nanos, is_static).err()
                 } else {
                     None
                 }

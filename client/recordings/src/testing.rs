@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is handed out is kept as it came.
 
-use crate::recording::{Ending, Message, RecordingError, Sink, Stopped, Topic};
+use crate::recording::{Ending, RecordedMessage, RecordingError, Sink, Stopped, Topic};
 
 /// Keeps all that it is given.
 #[derive(Default)]
@@ -15,6 +15,8 @@ pub(crate) struct KeptMessages {
     /// Stops with this many messages.
     pub(crate) stop_at: Option<usize>,
     pub(crate) position: u64,
+    /// What was said of parts that are too long.
+    pub(crate) passed_over: Vec<String>,
 }
 
 impl Sink for KeptMessages {
@@ -23,7 +25,11 @@ impl Sink for KeptMessages {
         !self.unwanted.contains(&topic.name.as_str())
     }
 
-    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
+    fn passed_over(&mut self, why: &RecordingError) {
+        self.passed_over.push(why.to_string());
+    }
+
+    fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped> {
         assert!(message.topic < self.topics.len(), "a message of a topic that was not handed out");
         assert!(position >= self.position, "the position goes back");
         self.position = position;

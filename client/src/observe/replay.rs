@@ -80,7 +80,7 @@ impl Replay {
         self.0.durable()
     }
 
-    /// Their checksum.
+    /// Checksum of all scans and observations so far.
     #[must_use]
     pub fn content_crc(&self) -> u32 {
         self.0.content_crc()

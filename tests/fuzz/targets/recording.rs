@@ -7,7 +7,7 @@ use tidemap_recordings::{
     convert::{CellSize, Clock, Converter},
     kind::read,
     plan::{Wishes, plan},
-    recording::{FileKind, Message, Sink, Stopped, Topic},
+    recording::{FileKind, RecordedMessage, Sink, Stopped, Topic},
     survey::Survey,
 };
 
@@ -18,7 +18,7 @@ impl Sink for Converting {
         self.0.topic(topic)
     }
 
-    fn message(&mut self, message: Message<'_>, _position: u64) -> Result<(), Stopped> {
+    fn message(&mut self, message: RecordedMessage<'_>, _position: u64) -> Result<(), Stopped> {
         self.0.convert(message.topic, message.recorded_nanos, message.data);
         Ok(())
     }

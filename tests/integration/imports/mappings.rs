@@ -52,7 +52,11 @@ fn a_mapping_gives_states_kinds_values_and_what_reports_are() {
     // Of 24 messages, half have a mode that means something; people and celsius always do.
     assert_eq!(counts(&table, "/doors"), [12 + 24 + 24, 12, 0]);
     assert_eq!(counts(&table, "/activity"), [16, 8, 0]);
-    assert!(import.stderr.contains("the value \"unknown\" means nothing in the mapping, 8 times"), "{}", import.stderr);
+    assert!(
+        import.stderr.contains("the value \"unknown\" stands for no value of the state, 8 times"),
+        "{}",
+        import.stderr
+    );
     let states = words(&daemon, "state list home").table();
     let kind = |name: &str| {
         let row = states.column("state").iter().position(|state| *state == name)?;
@@ -83,6 +87,10 @@ fn traversals_and_people_come_from_their_messages() {
         bag.message("/topological_navigation/Statistics", statistics, time, &data);
     }
     let file = written(&folder, "runs.bag", &bag, usize::MAX);
+    let topology = folder.path().join("building.txt");
+    std::fs::write(&topology, "node Hall\nnode Lab\nlink Hall Lab 8\n").expect("a file");
+    words(&daemon, "map create home").table();
+    words(&daemon, &format!("topology load home {}", topology.display())).table();
     let table = words(&daemon, &format!("import home {} --producer robot-1", file.display())).table();
     assert_eq!(table.column("becomes"), ["traversals"]);
     assert_eq!(counts(&table, "/topological_navigation/Statistics"), [3, 0, 0]);

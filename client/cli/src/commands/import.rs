@@ -37,6 +37,9 @@ use crate::{
     progress::{Bar, status_line},
 };
 
+/// Maximum number of bytes of scans that wait for their acknowledgement.
+const WINDOW_BYTES: usize = 16 << 20;
+
 #[derive(Debug, Args)]
 pub(crate) struct ImportArgs {
     /// Name of the map; it is created if it does not exist
@@ -136,20 +139,22 @@ async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
     };
     let recording = Recording::open(&args.files)?;
     let bar = Bar::bytes(Some(recording.bytes()));
-    let reading = (recording.clone(), bar.clone());
-    let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1)).await;
+    let wishes = Wishes { mapping, topics: args.topics.clone(), frame: args.frame.clone() };
+    let reading = (recording.clone(), wishes.clone(), bar.clone());
+    let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1, &reading.2)).await;
     bar.clear();
     let surveyed = survey.context("the thread that reads")??;
-    let wishes = Wishes { mapping, topics: args.topics.clone(), frame: args.frame.clone() };
     let plan = plan(&surveyed, &wishes).map_err(|error| usage(error.to_string()))?;
     let by_recorder = args.times == ClockArg::Recorder;
     Ok(Planned { recording, surveyed: Arc::new(surveyed), plan: Arc::new(plan), by_recorder })
 }
 
 async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::Result<ExitCode> {
-    let first = args.files.first().map(|file| base_name(file)).unwrap_or_default();
-    let label = format!("import/{first}");
-    let options = ProducerOptions { sensor: args.sensor, ..args.sender.options(&args.map, &label)? };
+    // The name of a folder such as `.` is that of the folder itself.
+    let named = |file: &PathBuf| base_name(&file.canonicalize().unwrap_or_else(|_| file.clone()));
+    let label = format!("import/{}", args.files.first().map(named).unwrap_or_default());
+    let options = args.sender.options(&args.map, &label)?;
+    let options = ProducerOptions { sensor: args.sensor, window_bytes: WINDOW_BYTES, ..options };
     let prepared = Prepared::map(session, &args, &planned).await?;
     let bar = Bar::bytes(Some(planned.recording.bytes()));
     let chunks = feed::open(&planned, &prepared, &args)?;

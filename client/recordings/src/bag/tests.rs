@@ -225,12 +225,15 @@ fn a_message_of_an_unknown_connection_and_a_wrong_size_are_errors() {
 }
 
 #[test]
-fn a_chunk_above_the_limit_is_refused_before_it_is_read() {
+fn a_chunk_above_the_limit_is_passed_over() {
     let mut bytes = MAGIC.to_vec();
     bytes.extend(record(&[("op", &[OP_CHUNK]), ("compression", b"none"), ("size", &[9, 0, 0, 0])], &[]));
     let length = bytes.len() - 4;
     bytes[length..].fill(0xff);
-    assert!(matches!(recorded(&bytes).1, Err(RecordingError::TooLarge { max: BLOCK_BYTES_MAX, .. })));
+    let (found, ending) = recorded(&bytes);
+    assert!(matches!(ending, Ok(Ending::CutOff(_))), "{ending:?}");
+    assert_eq!(found.passed_over.len(), 1);
+    assert!(found.passed_over[0].contains(&format!("at most {BLOCK_BYTES_MAX}")), "{:?}", found.passed_over);
 }
 
 proptest! {

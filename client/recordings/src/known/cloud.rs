@@ -8,6 +8,8 @@ use crate::{
     message::{Numbers, Value},
 };
 
+/// Maximum number of points of a cloud.
+const POINTS_MAX: usize = 2_000_000;
 /// Number types of `sensor_msgs/PointField`.
 const FLOAT32: usize = 7;
 const FLOAT64: usize = 8;
@@ -61,6 +63,10 @@ impl<'a> Cloud<'a> {
         let is_row_long = width.checked_mul(point_step).is_some_and(|row| row <= row_step);
         let axes_end = axes.iter().map(|axis| axis.offset + axis.primitive.bytes().unwrap_or(8)).max().unwrap_or(0);
         let is_empty = width == 0 || height == 0;
+        if !is_empty && width.checked_mul(height).is_none_or(|count| count > POINTS_MAX) {
+            let text = format!("a cloud of {width} x {height} points; at most {POINTS_MAX} are read");
+            return Err(KnownError::Values(text));
+        }
         if !is_empty && (!is_row_long || point_step < axes_end || needed.is_none_or(|needed| needed > bytes.len())) {
             return Err(wrong());
         }

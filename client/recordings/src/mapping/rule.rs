@@ -6,11 +6,14 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use crate::message::{Path, Value};
+use crate::message::{Path, VALUES_MAX, Value};
+
+/// Maximum number of bytes of a state's name.
+const NAME_BYTES_MAX: usize = 1024;
 
 /// A place in the messages of a topic: a field, or a field of each element of an array.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
+pub struct FieldPlace {
     /// Name of the topic.
     pub topic: String,
     /// The array whose elements are taken one by one, if any.
@@ -19,7 +22,7 @@ pub struct Place {
     pub field: Option<Path>,
 }
 
-impl Place {
+impl FieldPlace {
     /// Reads `TOPIC.FIELD`, or `TOPIC.ARRAY[].FIELD`. Names of topics have no point.
     fn read(key: &str) -> Result<Self, String> {
         let (topic, field) = key.split_once('.').map_or((key, ""), |(topic, field)| (topic, field));
@@ -43,7 +46,9 @@ impl Place {
             None => vec![message.clone()],
             Some(each) => match each.value_in(message) {
                 Some(Value::List(values)) => values,
-                Some(Value::Numbers(numbers)) => (0..numbers.len()).filter_map(|index| numbers.get(index)).collect(),
+                Some(Value::Numbers(numbers)) => {
+                    (0..numbers.len().min(VALUES_MAX)).filter_map(|index| numbers.get(index)).collect()
+                }
                 _ => Vec::new(),
             },
         }
@@ -60,10 +65,10 @@ impl Place {
 
 /// A name with fields in braces, such as `door-{door_name}`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Template(Vec<Part>);
+pub struct Template(Vec<NamePart>);
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Part {
+enum NamePart {
     Text(String),
     Field(Path),
 }
@@ -79,40 +84,40 @@ impl Template {
         while let Some((before, from)) = rest.split_once('{') {
             let (field, behind) = from.split_once('}').ok_or_else(|| format!("{text:?} has no }} behind its {{"))?;
             if !before.is_empty() {
-                parts.push(Part::Text(before.to_owned()));
+                parts.push(NamePart::Text(before.to_owned()));
             }
-            parts.push(Part::Field(Path::parse(field).map_err(|error| error.to_string())?));
+            parts.push(NamePart::Field(Path::parse(field).map_err(|error| error.to_string())?));
             rest = behind;
         }
         if !rest.is_empty() {
-            parts.push(Part::Text(rest.to_owned()));
+            parts.push(NamePart::Text(rest.to_owned()));
         }
         if parts.is_empty() { Err("the name of the state is empty".to_owned()) } else { Ok(Self(parts)) }
     }
 
     /// A name without fields.
     pub fn plain(name: &str) -> Self {
-        Self(vec![Part::Text(name.to_owned())])
+        Self(vec![NamePart::Text(name.to_owned())])
     }
 
-    /// The name for an element; `None` if a field is missing there. Slashes within fields become `-`, because they
-    /// separate the parts of names.
+    /// The name for an element; `None` if a field is missing there, or the name is too long. Slashes within fields
+    /// become `-`, because they separate the parts of names.
     pub fn name(&self, element: &Value<'_>) -> Option<String> {
         let mut name = String::new();
         for part in &self.0 {
             match part {
-                Part::Text(text) => name += text,
-                Part::Field(path) => name += &shown(&path.value_in(element)?)?.replace('/', "-"),
+                NamePart::Text(text) => name += text,
+                NamePart::Field(path) => name += &shown(&path.value_in(element)?)?.replace('/', "-"),
             }
         }
-        Some(name)
+        (name.len() <= NAME_BYTES_MAX).then_some(name)
     }
 
     /// The name as the mapping writes it.
     pub fn text(&self) -> String {
-        let text = |part: &Part| match part {
-            Part::Text(text) => text.clone(),
-            Part::Field(path) => format!("{{{path}}}"),
+        let text = |part: &NamePart| match part {
+            NamePart::Text(text) => text.clone(),
+            NamePart::Field(path) => format!("{{{path}}}"),
         };
         self.0.iter().map(text).collect()
     }
@@ -166,7 +171,7 @@ pub enum ValueRule {
     Number,
     /// The field as a word, by a table; other words are left out.
     Table(BTreeMap<String, String>),
-    /// The same value for each element.
+    /// One value, whatever the message says.
     Same(f64),
 }
 
@@ -174,7 +179,7 @@ pub enum ValueRule {
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateRule {
     /// Where the value is.
-    pub place: Place,
+    pub place: FieldPlace,
     /// Name of the state.
     pub state: Template,
     /// Kind of the state.
@@ -274,7 +279,7 @@ impl StateRule {
             return Err("reports: events is for the kinds probability and count".to_owned());
         }
         Ok(Self {
-            place: Place::read(key)?,
+            place: FieldPlace::read(key)?,
             state: Template::read(&fields.state)?,
             kind,
             reports: fields.reports,
@@ -287,7 +292,7 @@ impl StateRule {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositionRule {
     /// Where the point or the pose is.
-    pub place: Place,
+    pub place: FieldPlace,
     /// Name of the vector.
     pub state: Template,
     /// Whether z is taken too.
@@ -320,7 +325,7 @@ impl PositionRule {
             3 => true,
             other => return Err(format!("dimensions is {other}: use 2 or 3")),
         };
-        Ok(Self { place: Place::read(key)?, state: Template::read(&state)?, has_height })
+        Ok(Self { place: FieldPlace::read(key)?, state: Template::read(&state)?, has_height })
     }
 }
 
@@ -353,7 +358,7 @@ pub(super) struct TraversalText {
 
 impl TraversalRule {
     pub(super) fn read(key: &str, text: TraversalText) -> Result<Self, String> {
-        let place = Place::read(key)?;
+        let place = FieldPlace::read(key)?;
         if place.field.is_some() || place.each.is_some() {
             return Err("use the name of the topic alone".to_owned());
         }
@@ -385,7 +390,7 @@ impl TraversalRule {
 impl StateRule {
     /// A rule that takes a field as a number.
     pub(crate) fn plain(topic: &str, field: &str, state: Template, value: ValueRule) -> Option<Self> {
-        let place = Place { topic: topic.to_owned(), each: None, field: Some(Path::parse(field).ok()?) };
+        let place = FieldPlace { topic: topic.to_owned(), each: None, field: Some(Path::parse(field).ok()?) };
         Some(Self { place, state, kind: ValueKind::Probability, reports: Reports::Samples, value })
     }
 }
@@ -394,7 +399,7 @@ impl PositionRule {
     /// A rule that takes a field as a position in the plane.
     pub(crate) fn plain(topic: &str, each: Option<&str>, field: &str, state: Template) -> Option<Self> {
         let path = |text: &str| Path::parse(text).ok();
-        let place = Place { topic: topic.to_owned(), each: each.and_then(path), field: path(field) };
+        let place = FieldPlace { topic: topic.to_owned(), each: each.and_then(path), field: path(field) };
         Some(Self { place, state, has_height: false })
     }
 }

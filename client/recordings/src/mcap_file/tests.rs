@@ -159,8 +159,14 @@ fn broken_files_say_how() {
 }
 
 #[test]
-fn a_length_above_the_limit_is_refused_before_it_is_read() {
-    for op in [OP_SCHEMA, OP_CHANNEL, OP_MESSAGE, OP_CHUNK] {
+fn a_length_above_the_limit_is_refused_or_passed_over() {
+    for op in [OP_MESSAGE, OP_CHUNK] {
+        let bytes = [&MAGIC[..], &[op], &[0xff; 8]].concat();
+        let (found, ending) = recorded(&bytes);
+        assert!(matches!(ending, Ok(Ending::CutOff(_))), "{ending:?}");
+        assert_eq!(found.passed_over.len(), 1);
+    }
+    for op in [OP_SCHEMA, OP_CHANNEL] {
         let bytes = [&MAGIC[..], &[op], &[0xff; 8]].concat();
         assert!(matches!(recorded(&bytes).1, Err(RecordingError::TooLarge { bytes: u64::MAX, .. })));
     }

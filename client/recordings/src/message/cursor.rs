@@ -6,7 +6,7 @@ use super::{MessageError, Numbers, VALUES_MAX, Value};
 use crate::definition::Primitive;
 
 /// A place in a message.
-pub(super) struct Cursor<'a> {
+pub(super) struct MessageCursor<'a> {
     bytes: &'a [u8],
     at: usize,
     /// Where alignment counts from, and the largest alignment; `None`: values are packed, as in ROS 1.
@@ -15,7 +15,7 @@ pub(super) struct Cursor<'a> {
     values: usize,
 }
 
-impl<'a> Cursor<'a> {
+impl<'a> MessageCursor<'a> {
     pub(super) fn ros1(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, alignment: None, is_big_endian: false, values: 0 }
     }

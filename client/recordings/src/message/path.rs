@@ -1,7 +1,7 @@
 //! Paths to fields, such as `pose.pose.position.x` or `ranges[3]`.
 //!
-//! Invariant: a path that was checked against a layout leads to a value in every message of that layout, but for indices
-//! behind the end of an array.
+//! Invariant: a path that was checked against a layout leads to a value in every message of that layout, unless an
+//! index is behind the end of an array.
 
 use super::Value;
 use crate::{
@@ -32,14 +32,14 @@ pub enum PathError {
 
 /// One step of a path.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-struct Step {
+struct PathStep {
     name: String,
     index: Option<usize>,
 }
 
 /// A path to a field.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Path(Vec<Step>);
+pub struct Path(Vec<PathStep>);
 
 impl Path {
     /// Reads a path.
@@ -48,7 +48,7 @@ impl Path {
     /// The text is no path.
     pub fn parse(text: &str) -> Result<Self, PathError> {
         let wrong = || PathError::Text(text.chars().take(80).collect());
-        text.split('.').map(|part| Step::parse(part).ok_or_else(wrong)).collect::<Result<_, _>>().map(Self)
+        text.split('.').map(|part| PathStep::parse(part).ok_or_else(wrong)).collect::<Result<_, _>>().map(Self)
     }
 
     /// Checks the path against a layout, and gives the field at its end.
@@ -126,7 +126,7 @@ impl std::fmt::Display for Path {
     }
 }
 
-impl Step {
+impl PathStep {
     fn parse(text: &str) -> Option<Self> {
         let (name, index) = match text.split_once('[') {
             None => (text, None),

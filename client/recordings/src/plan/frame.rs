@@ -4,7 +4,7 @@
 
 use nalgebra::Vector3;
 
-use super::{GridUse, PlanError, TopicPlan};
+use super::{GridUse, PlanError, TopicPlan, has_moving_link};
 use crate::survey::{Surveyed, TopicSurvey};
 
 /// How the frame was chosen.
@@ -45,23 +45,22 @@ pub(super) fn choose(
         }
         return Err(PlanError::NoFrame { frame: asked.to_owned(), frames: names(surveyed) });
     }
-    let connected = |topic: &TopicSurvey, within: &str| {
-        let chain = frames.chain(&topic.frame);
-        frames.chain(within).iter().any(|frame| chain.contains(frame))
-    };
-    // Sensors move: for them the frame must be another one than their own.
+    // Sensors move: for them the frame must be another one than their own. They come first, because without a place
+    // nothing is made of them.
     let moves = |plan: &TopicPlan| matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds));
-    for usual in USUAL {
-        if frames.knows(usual) && placed().any(|(topic, _)| connected(topic, usual)) {
-            return Ok((Some(usual.to_owned()), FrameChoice::Usual));
+    for is_sensor in [true, false] {
+        let topics = || placed().filter(|(_, plan)| moves(plan) == is_sensor).map(|(topic, _)| topic);
+        for usual in USUAL {
+            if frames.knows(usual) && topics().any(|topic| frames.connects(&topic.frame, usual)) {
+                return Ok((Some(usual.to_owned()), FrameChoice::Usual));
+            }
         }
-    }
-    let root = placed().filter(|(topic, plan)| moves(plan) && frames.knows(&topic.frame)).find_map(|(topic, _)| {
-        let chain = frames.chain(&topic.frame);
-        chain.last().filter(|_| chain.len() > 1).map(|root| (*root).to_owned())
-    });
-    if let Some(root) = root {
-        return Ok((Some(root), FrameChoice::Root));
+        let root = topics()
+            .filter(|topic| is_sensor && has_moving_link(surveyed, &topic.frame))
+            .find_map(|topic| frames.chain(&topic.frame).last().map(|root| (*root).to_owned()));
+        if let Some(root) = root {
+            return Ok((Some(root), FrameChoice::Root));
+        }
     }
     let of_messages = placed().find(|(topic, plan)| !moves(plan) && !topic.frame.is_empty());
     Ok(match of_messages {

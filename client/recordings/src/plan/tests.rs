@@ -18,6 +18,7 @@ fn topic(name: &str, type_name: &str, frame: &str) -> TopicSurvey {
         unread: 0,
         problem: None,
         layout: layout::of_type(type_name, "", &Encoding::Cdr).ok(),
+        grid: None,
     }
 }
 
@@ -48,7 +49,10 @@ fn each_usual_type_becomes_what_it_is() -> Outcome {
         topic("/tf", "tf2_msgs/TFMessage", ""),
         topic("/rosout", "rosgraph_msgs/Log", ""),
     ];
-    let surveyed = surveyed(topics, &[("odom", "base"), ("base", "laser")]);
+    let mut surveyed = surveyed(topics, &[("base", "laser")]);
+    let pose = Isometry3::identity();
+    let transform = Transform { parent: "odom".to_owned(), child: "base".to_owned(), time_nanos: 0, pose };
+    assert_eq!(surveyed.frames.add(transform, false), Ok(()));
     let nothing = "nothing";
     let usual = [
         "scans",
@@ -96,7 +100,12 @@ fn a_frame_is_found_or_asked_for() -> Outcome {
     let without = surveyed(scan(), &[]);
     assert_eq!(chosen(&without, None), Ok((None, FrameChoice::None)), "a sensor of which nothing is known moves");
     assert_eq!(chosen(&without, Some("/laser")), some("laser", FrameChoice::Asked));
-    let above = surveyed(scan(), &[("cloud", "laser")]);
+    let fixed = surveyed(scan(), &[("base", "laser")]);
+    assert_eq!(chosen(&fixed, None), Ok((None, FrameChoice::None)), "where the robot was is not known");
+    let mut above = surveyed(scan(), &[]);
+    let pose = Isometry3::identity();
+    let transform = Transform { parent: "cloud".to_owned(), child: "laser".to_owned(), time_nanos: 0, pose };
+    assert_eq!(above.frames.add(transform, false), Ok(()));
     assert_eq!(chosen(&above, None), some("cloud", FrameChoice::Root));
     let below = surveyed(scan(), &[("odom", "map"), ("odom", "base"), ("base", "laser"), ("odom", "map")]);
     assert_eq!(chosen(&below, None), some("map", FrameChoice::Usual), "map below odom");

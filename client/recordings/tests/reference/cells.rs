@@ -10,7 +10,7 @@ use tidemap_recordings::{
     kind::read,
     mapping::Mapping,
     plan::{Plan, Wishes, plan},
-    recording::{Message, Sink, Stopped, Topic},
+    recording::{RecordedMessage, Sink, Stopped, Topic},
     survey::{Survey, Surveyed},
 };
 
@@ -30,7 +30,7 @@ impl Sink for Kept {
         self.converter.topic(topic)
     }
 
-    fn message(&mut self, message: Message<'_>, _position: u64) -> Result<(), Stopped> {
+    fn message(&mut self, message: RecordedMessage<'_>, _position: u64) -> Result<(), Stopped> {
         if self.converter.topic_index(message.topic) == Some(self.topic) {
             self.items.extend(self.converter.convert(message.topic, message.recorded_nanos, message.data));
         }

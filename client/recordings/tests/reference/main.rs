@@ -8,7 +8,7 @@ use serde_json::Value;
 use tidemap_recordings::{
     folder::{Folder, METADATA_NAME},
     kind::{DETECT_BYTES, read},
-    recording::{Ending, FileKind, Message, RecordingError, Sink, Stopped, Topic},
+    recording::{Ending, FileKind, RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 
 #[path = "../../../../server/model/tests/recordings/folder.rs"]
@@ -31,7 +31,7 @@ impl Sink for Counts {
         true
     }
 
-    fn message(&mut self, message: Message<'_>, _position: u64) -> Result<(), Stopped> {
+    fn message(&mut self, message: RecordedMessage<'_>, _position: u64) -> Result<(), Stopped> {
         let found = self.topics.get_mut(&self.names[message.topic]).expect("its topic came before");
         let time = message.recorded_nanos;
         let (first, last) = found.2.unwrap_or((time, time));

@@ -53,7 +53,11 @@ impl TopicCounts {
         let Some(count) = self.0.get_mut(topic) else { return };
         match why {
             NotMade::Wrong(_) => count.refused += 1,
-            NotMade::NoTransform(_) | NotMade::NoFrame(_) | NotMade::LeftOut(_) => count.skipped += 1,
+            NotMade::NoTransform(_)
+            | NotMade::NoFrame(_)
+            | NotMade::NoSensor(_)
+            | NotMade::Nothing(_)
+            | NotMade::LeftOut(_) => count.skipped += 1,
         }
         count.reason(&why.to_string());
     }

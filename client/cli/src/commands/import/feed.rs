@@ -3,16 +3,17 @@
 //! Invariant: observations come in the order of the recordings; the memory for those read ahead is bounded, whatever
 //! the size of the recordings.
 
-use std::thread;
+use std::{collections::HashSet, thread};
 
 use anyhow::Context as _;
 use tidemap_client::{
     maps::GridSpec,
     observe::{TraversalReport, scan::Scan},
+    routes::StateName,
 };
 use tidemap_recordings::{
     convert::{Converter, Item, Made, NotMade},
-    recording::{Message, RecordingError, Sink, Stopped, Topic},
+    recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 use tokio::sync::mpsc;
 
@@ -22,6 +23,7 @@ use super::{
     grid::{self, Ranges},
     prepare::Prepared,
 };
+use crate::progress::status_line;
 
 /// A chunk ends with this many observations, or bytes of scans.
 const CHUNK_ITEMS: usize = 1024;
@@ -32,11 +34,11 @@ const CHUNKS_AHEAD: usize = 2;
 #[derive(Debug)]
 pub(super) struct ImportItem {
     pub(super) time_nanos: i64,
-    pub(super) content: Content,
+    pub(super) content: ImportContent,
 }
 
 #[derive(Debug)]
-pub(super) enum Content {
+pub(super) enum ImportContent {
     Scan(Scan),
     /// Of the rule with this index among those of the topic.
     Value {
@@ -62,6 +64,8 @@ pub(super) struct ImportChunk {
     pub(super) items: Vec<(usize, Result<ImportItem, NotMade>)>,
     /// Bytes of the recordings read so far.
     pub(super) position: u64,
+    /// Whether this is the last chunk of all files.
+    pub(super) is_last: bool,
     bytes: usize,
 }
 
@@ -77,6 +81,7 @@ pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) ->
         ranges: Ranges { min_m: args.min_range, max_m: args.max_range },
         chunk: ImportChunk::default(),
         before: 0,
+        said: HashSet::new(),
         sender,
     };
     let recording = planned.recording.clone();
@@ -99,6 +104,8 @@ struct Reader {
     chunk: ImportChunk,
     /// Bytes of the files before this one.
     before: u64,
+    /// Notices about grids so far; each is said once.
+    said: HashSet<String>,
     sender: mpsc::Sender<anyhow::Result<ImportChunk>>,
 }
 
@@ -118,6 +125,7 @@ impl Reader {
             }
         }
         self.chunk.position = recording.bytes();
+        self.chunk.is_last = true;
         // Nobody waits any more if this fails.
         let _ = self.pass_on();
         Ok(())
@@ -129,30 +137,42 @@ impl Reader {
         self.sender.blocking_send(Ok(chunk)).map_err(|_| Stopped)
     }
 
-    fn item(&self, item: Item) -> Result<ImportItem, NotMade> {
+    fn item(&mut self, item: Item) -> Result<ImportItem, NotMade> {
         let Item { time_nanos, made } = item;
         if time_nanos < 0 {
             return Err(NotMade::Wrong(format!("its time, {time_nanos} ns, is before 1970")));
         }
         let content = match made {
-            Made::Scan(scan) => Content::Scan(grid::ranges(scan, self.ranges)),
-            Made::Cloud(cloud) => Content::Scan(grid::cloud(cloud, self.ranges)),
+            Made::Scan(scan) => ImportContent::Scan(grid::ranges(scan, self.ranges)),
+            Made::Cloud(cloud) => ImportContent::Scan(grid::cloud(cloud, self.ranges)),
             Made::Grid(placed) => match &self.grid {
-                Some(grid) => Content::Scan(grid::cells(&placed, grid).map_err(NotMade::Wrong)?),
+                Some(grid) => {
+                    let (scan, notice) = grid::cells(&placed, grid).map_err(NotMade::Wrong)?;
+                    if let Some(notice) = notice.filter(|notice| self.said.insert(notice.clone())) {
+                        status_line(&notice);
+                    }
+                    ImportContent::Scan(scan)
+                }
                 None => return Err(NotMade::Wrong("the map has no grid".to_owned())),
             },
-            Made::Value { state, value, rule } => Content::Value { state, value, rule },
-            Made::Label { state, label, rule } => Content::Label { state, label, rule },
-            Made::Position { state, coordinates_m } => Content::Position { state, coordinates: coordinates_m },
+            Made::Value { state, value, rule } => ImportContent::Value { state, value, rule },
+            Made::Label { state, label, rule } => ImportContent::Label { state, label, rule },
+            Made::Position { state, coordinates_m } => ImportContent::Position { state, coordinates: coordinates_m },
             Made::Traversal { from, to, start_nanos, success, reason } => {
                 let action = String::new();
                 let report = TraversalReport { from, to, action, start_nanos, end_nanos: time_nanos, success, reason };
                 match report.wrong() {
                     Some(wrong) => return Err(NotMade::Wrong(wrong)),
-                    None => Content::Traversal(report),
+                    None => ImportContent::Traversal(report),
                 }
             }
         };
+        if let ImportContent::Value { state, .. }
+        | ImportContent::Label { state, .. }
+        | ImportContent::Position { state, .. } = &content
+        {
+            StateName::observed(state).map_err(|error| NotMade::Wrong(error.to_string()))?;
+        }
         Ok(ImportItem { time_nanos, content })
     }
 }
@@ -162,7 +182,7 @@ impl Sink for Reader {
         self.converter.topic(topic)
     }
 
-    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped> {
+    fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped> {
         self.chunk.position = self.before + position;
         let Some(topic) = self.converter.topic_index(message.topic) else { return Ok(()) };
         for made in self.converter.convert(message.topic, message.recorded_nanos, message.data) {
@@ -177,9 +197,9 @@ impl Sink for Reader {
 /// Bytes of an observation, about.
 fn bytes(item: &ImportItem) -> usize {
     match &item.content {
-        Content::Scan(Scan::Cloud(cloud)) => cloud.xyz_m.len() * 4,
-        Content::Scan(Scan::Ranges(ranges)) => ranges.ranges_m.len() * 4,
-        Content::Scan(Scan::Tiles(tiles) | Scan::Map { tiles, .. }) => tiles.len() * 144,
+        ImportContent::Scan(Scan::Cloud(cloud)) => cloud.xyz_m.len() * 4,
+        ImportContent::Scan(Scan::Ranges(ranges)) => ranges.ranges_m.len() * 4,
+        ImportContent::Scan(Scan::Tiles(tiles) | Scan::Map { tiles, .. }) => tiles.len() * 144,
         _ => 64,
     }
 }

@@ -5,7 +5,7 @@
 
 use std::{
     fs::{self, File},
-    io::{BufReader, Read as _, Seek as _},
+    io::{BufReader, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -13,7 +13,8 @@ use anyhow::Context as _;
 use tidemap_recordings::{
     folder::{Folder, METADATA_BYTES_MAX, METADATA_NAME, ZSTD_ENDING},
     kind::{self, DETECT_BYTES},
-    recording::{Ending, FileKind, RecordingError, Sink},
+    plan::Wishes,
+    recording::{Ending, FileKind, RecordedMessage, RecordingError, Sink, Stopped, Topic},
     rosbag2::LOG_ENDING,
     survey::{Survey, Surveyed},
     zstd_stream::ZstdStream,
@@ -49,10 +50,10 @@ impl Recording {
         for path in paths {
             if path.is_dir() {
                 for file in of_folder(path)? {
-                    files.push(RecordedFile::open(file)?);
+                    files.push(RecordedFile::open(&file)?);
                 }
             } else {
-                files.push(RecordedFile::open(path.clone())?);
+                files.push(RecordedFile::open(path)?);
             }
         }
         Ok(Self { files })
@@ -74,10 +75,10 @@ impl Recording {
 }
 
 impl RecordedFile {
-    fn open(path: PathBuf) -> anyhow::Result<Self> {
+    fn open(path: &Path) -> anyhow::Result<Self> {
         let shown = path.display().to_string();
         let open = || -> anyhow::Result<Self> {
-            let mut file = File::open(&path)?;
+            let mut file = File::open(path)?;
             let bytes = file.metadata()?.len();
             let is_packed = shown.ends_with(ZSTD_ENDING) || shown.ends_with(".zst");
             let mut start = Vec::new();
@@ -95,7 +96,7 @@ impl RecordedFile {
                     log.display()
                 ));
             }
-            Ok(Self { path: path.clone(), kind, is_packed, bytes })
+            Ok(Self { path: path.to_path_buf(), kind, is_packed, bytes })
         };
         open().with_context(|| shown.clone())
     }
@@ -105,16 +106,42 @@ impl RecordedFile {
         self.path.display().to_string()
     }
 
-    /// Reads the file.
+    /// Reads the file. Of a file that is damaged behind its first message, what comes before the damage is read.
     pub(super) fn read(&self, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
-        let mut file = File::open(&self.path)?;
-        file.rewind()?;
-        let file = BufReader::with_capacity(BUFFER_BYTES, file);
-        if self.is_packed {
-            kind::read_stream(self.kind, ZstdStream::new(file), sink)
+        let file = BufReader::with_capacity(BUFFER_BYTES, File::open(&self.path)?);
+        let mut counting = Counting { sink, messages: 0 };
+        let read = if self.is_packed {
+            kind::read_stream(self.kind, ZstdStream::new(file), &mut counting)
         } else {
-            kind::read(self.kind, file, sink)
+            kind::read(self.kind, file, &mut counting)
+        };
+        match read {
+            Err(RecordingError::Broken(how)) if counting.messages > 0 => {
+                Ok(Ending::CutOff(format!("the file is damaged: {how}")))
+            }
+            read => read,
         }
+    }
+}
+
+/// Counts the messages that pass through.
+struct Counting<'a> {
+    sink: &'a mut dyn Sink,
+    messages: u64,
+}
+
+impl Sink for Counting<'_> {
+    fn topic(&mut self, topic: &Topic) -> bool {
+        self.sink.topic(topic)
+    }
+
+    fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped> {
+        self.messages += 1;
+        self.sink.message(message, position)
+    }
+
+    fn passed_over(&mut self, why: &RecordingError) {
+        self.sink.passed_over(why);
     }
 }
 
@@ -136,11 +163,11 @@ fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 /// Reads the files once, to find what is in them.
-pub(super) fn survey(recording: &Recording, bar: &Bar) -> anyhow::Result<Surveyed> {
-    let mut survey = Survey::default();
+pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyhow::Result<Surveyed> {
+    let mut survey = Survey::without_transforms_of(&wishes.mapping.skip);
     surveyed(recording, bar, &mut survey, true)?;
     if survey.has_too_many_transforms() {
-        survey.again_with_sensors();
+        survey.again_with_sensors(wishes.frame.as_deref());
         surveyed(recording, bar, &mut survey, false)?;
     }
     Ok(survey.finish())

@@ -53,8 +53,9 @@ pub(super) fn cloud(cloud: PlacedCloud, limits: Ranges) -> Scan {
     })
 }
 
-/// The cells of a grid. One that is turned cannot be taken: its cells do not lie along those of the map.
-pub(super) fn cells(placed: &PlacedGrid, grid: &GridSpec) -> Result<Scan, String> {
+/// The cells of a grid, and what is to be said of them. One that is turned cannot be taken: its cells do not lie along
+/// those of the map.
+pub(super) fn cells(placed: &PlacedGrid, grid: &GridSpec) -> Result<(Scan, Option<String>), String> {
     let yaw = placed.origin.rotation.euler_angles().2;
     if yaw.abs() > 1e-3 {
         return Err(format!("the grid is turned by {yaw:.3} rad: its cells do not lie along those of the map"));
@@ -74,8 +75,12 @@ pub(super) fn cells(placed: &PlacedGrid, grid: &GridSpec) -> Result<Scan, String
         free_205: 0,
     };
     let on = of_plane(&map, GridMode::Trinary, None, grid).map_err(|error| error.to_string())?;
-    Ok(match on.shown {
+    if on.tiles.is_empty() {
+        return Err("the grid of the map has none of its known cells".to_owned());
+    }
+    let scan = match on.shown {
         Some(shown) => Scan::Map { tiles: on.tiles, shown },
         None => Scan::Tiles(on.tiles),
-    })
+    };
+    Ok((scan, on.notice))
 }

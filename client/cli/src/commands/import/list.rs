@@ -67,15 +67,29 @@ pub(super) fn tell(planned: &Planned) {
     };
     if let Some(frame) = &plan.frame {
         status_line(&places(plan.choice, frame));
-    } else if let Some(topic) =
-        surveyed.topics.iter().zip(&plan.topics).find_map(|(topic, plan)| plan.grid.map(|_| topic))
-        && !topic.frame.is_empty()
-    {
+    }
+    let unplaced = surveyed.topics.iter().zip(&plan.topics).find(|(topic, topic_plan)| {
+        let within = plan.frame.as_deref().is_some_and(|frame| surveyed.frames.connects(&topic.frame, frame));
+        matches!(topic_plan.grid, Some(GridUse::Scans | GridUse::Clouds)) && !topic.frame.is_empty() && !within
+    });
+    if let Some((topic, _)) = unplaced {
         status_line(&format!(
-            "the recording has no transforms, so where {:?} of {} was is not known, and nothing is placed: if it stood \
-             still, add --frame {}",
+            "the recording has no transforms from which it is known where {:?} of {} was, so its messages have no place: \
+             if it stood still, add --frame {}",
             topic.frame, topic.name, topic.frame
         ));
+    }
+    let conflicts: Vec<&str> = surveyed.frames.conflicts().collect();
+    if !conflicts.is_empty() {
+        status_line(&format!(
+            "several transforms say different things of {}: a parent that changes, a fixed one that moves, or two robots \
+             in one recording. skip: in a mapping leaves out a topic of transforms",
+            conflicts.join(", ")
+        ));
+    }
+    if let Some((count, first)) = &surveyed.passed_over {
+        let more = if *count > 1 { format!(", and {} more like it", count - 1) } else { String::new() };
+        status_line(&format!("passed over: {first}{more}"));
     }
     if surveyed.has_too_many_transforms {
         status_line(

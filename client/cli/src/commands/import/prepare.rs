@@ -82,14 +82,15 @@ fn tell_of(map: &Map, planned: &Planned) {
 
 async fn create(session: &Session, args: &ImportArgs, planned: &Planned) -> anyhow::Result<Map> {
     let has_grid = has_grid_use(planned);
+    let frame_id = planned.plan.frame.clone().unwrap_or_else(|| GridSpec::new(RESOLUTION_M).frame_id);
     let grid = match (&args.grid, has_grid) {
-        (Some(GridArg(grid)), _) => Some(grid.clone()),
+        (Some(GridArg(grid)), _) => Some(GridSpec { frame_id, ..grid.clone() }),
         (None, false) => None,
         (None, true) => {
             let is_flat = planned.plan.is_level(&planned.surveyed);
-            let usual = GridSpec::new(RESOLUTION_M);
-            let frame_id = planned.plan.frame.clone().unwrap_or_else(|| usual.frame_id.clone());
-            Some(GridSpec { is_flat, frame_id, ..usual })
+            // Grids alone keep their cells.
+            let (resolution_m, [x, y]) = planned.plan.cells(&planned.surveyed).unwrap_or((RESOLUTION_M, [0.0; 2]));
+            Some(GridSpec { is_flat, frame_id, origin_m: [x, y, 0.0], ..GridSpec::new(resolution_m) })
         }
     };
     let is_simulated = first_nanos(planned).is_some_and(|first| first < REAL_FROM_NANOS);

@@ -11,7 +11,7 @@ use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
     counts::TopicCounts,
-    feed::{Content, ImportChunk, ImportChunks, ImportItem},
+    feed::{ImportChunk, ImportChunks, ImportContent, ImportItem},
     prepare::NewStates,
 };
 use crate::{
@@ -98,9 +98,9 @@ impl ImportTransfer {
 
     async fn send_all(&mut self) -> TransferEnd {
         loop {
-            let ImportChunk { items, position, .. } = match self.chunk().await {
+            let ImportChunk { items, position, is_last, .. } = match self.chunk().await {
                 Ok(Some(chunk)) => chunk,
-                Ok(None) => break,
+                Ok(None) => return TransferEnd::Unreadable(anyhow::anyhow!("the reading ended before its last chunk")),
                 Err(end) => return end,
             };
             for (topic, item) in items {
@@ -118,6 +118,9 @@ impl ImportTransfer {
             }
             self.bar.set(position);
             self.collect();
+            if is_last {
+                break;
+            }
         }
         if self.read < self.sent_before {
             let (read, sent_before) = (self.read, self.sent_before);
@@ -157,11 +160,13 @@ impl ImportTransfer {
         let ImportItem { time_nanos, content } = item;
         let producer = &mut self.producer;
         let sent = match content {
-            Content::Scan(scan) => producer.send_scan(time_nanos, scan).await,
-            Content::Value { state, value, .. } => producer.send(&state, time_nanos, value).await,
-            Content::Label { state, label, .. } => producer.send_label(&state, time_nanos, &label).await,
-            Content::Position { state, coordinates } => producer.send_position(&state, time_nanos, &coordinates).await,
-            Content::Traversal(report) => producer.send_traversal(&report).await,
+            ImportContent::Scan(scan) => producer.send_scan(time_nanos, scan).await,
+            ImportContent::Value { state, value, .. } => producer.send(&state, time_nanos, value).await,
+            ImportContent::Label { state, label, .. } => producer.send_label(&state, time_nanos, &label).await,
+            ImportContent::Position { state, coordinates } => {
+                producer.send_position(&state, time_nanos, &coordinates).await
+            }
+            ImportContent::Traversal(report) => producer.send_traversal(&report).await,
         };
         match sent {
             Ok(sequence) => debug_assert_eq!(sequence, number),
@@ -172,8 +177,10 @@ impl ImportTransfer {
         Ok(())
     }
 
-    async fn add_state(&mut self, topic: usize, content: &Content) -> anyhow::Result<()> {
-        let (Content::Value { state, rule, .. } | Content::Label { state, rule, .. }) = content else { return Ok(()) };
+    async fn add_state(&mut self, topic: usize, content: &ImportContent) -> anyhow::Result<()> {
+        let (ImportContent::Value { state, rule, .. } | ImportContent::Label { state, rule, .. }) = content else {
+            return Ok(());
+        };
         match self.plan.topics.get(topic).and_then(|plan| plan.states.get(*rule)) {
             Some(rule) => self.states.add(state, rule).await,
             None => Ok(()),
@@ -220,11 +227,11 @@ fn unreadable(number: u64, error: &TileError) -> TransferEnd {
 fn follow(replay: &mut Replay, item: ImportItem) -> Result<(), TileError> {
     let ImportItem { time_nanos, content } = item;
     match content {
-        Content::Scan(scan) => replay.scan(time_nanos, scan)?,
-        Content::Value { state, value, .. } => replay.value(&state, time_nanos, value),
-        Content::Label { state, label, .. } => replay.label(&state, time_nanos, &label),
-        Content::Position { state, coordinates } => replay.position(&state, time_nanos, &coordinates),
-        Content::Traversal(report) => replay.traversal(&report),
+        ImportContent::Scan(scan) => replay.scan(time_nanos, scan)?,
+        ImportContent::Value { state, value, .. } => replay.value(&state, time_nanos, value),
+        ImportContent::Label { state, label, .. } => replay.label(&state, time_nanos, &label),
+        ImportContent::Position { state, coordinates } => replay.position(&state, time_nanos, &coordinates),
+        ImportContent::Traversal(report) => replay.traversal(&report),
     }
     Ok(())
 }
