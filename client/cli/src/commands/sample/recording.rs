@@ -49,7 +49,7 @@ tidemap import corridor robot.mcap --list
 tidemap import corridor robot.mcap --nightly --time-zone Europe/London
 
 # Will the doors be open?
-tidemap predict corridor left right --date 2025-03-18 --picture
+tidemap predict corridor left right --date 2025-01-21 --picture
 
 # The page, with a slider for the time: tidemap open corridor
 "#;
