@@ -22,6 +22,7 @@ pub mod ply;
 pub mod png;
 mod points;
 pub mod robot_recording;
+mod ros_types;
 pub mod route_graph;
 mod scalar;
 pub mod svg;

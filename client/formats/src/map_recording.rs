@@ -13,7 +13,6 @@
 //! Invariant: messages are written as they come, without compression; at most one message and one chunk of about 1 MiB
 //! are in memory. A file is complete only after [`MapRecording::finish`].
 
-mod definitions;
 mod grid_message;
 pub mod messages;
 #[cfg(test)]
@@ -26,7 +25,7 @@ use std::{
 
 use mcap::{McapError, WriteOptions, Writer, records::MessageHeader};
 
-use crate::{MapPicture, PictureError};
+use crate::{MapPicture, PictureError, ros_types};
 use messages::StateValue;
 
 /// Topic of the maps for ROS 2.
@@ -102,14 +101,15 @@ pub struct MapRecording<W: Write + Seek> {
 struct Description {
     schema: &'static str,
     schema_encoding: &'static str,
-    text: &'static str,
+    /// Absent: the definition of the type of ROS 2.
+    text: Option<&'static str>,
     message_encoding: &'static str,
 }
 
 const MAP: Description = Description {
     schema: "nav_msgs/msg/OccupancyGrid",
     schema_encoding: "ros2msg",
-    text: definitions::OCCUPANCY_GRID,
+    text: None,
     message_encoding: "cdr",
 };
 const GRID: Description = json_description("foxglove.Grid", messages::GRID_SCHEMA);
@@ -117,7 +117,7 @@ const TOPOLOGY: Description = json_description("foxglove.GeoJSON", messages::GEO
 const STATE: Description = json_description("tidemap.State", messages::STATE_SCHEMA);
 
 const fn json_description(schema: &'static str, text: &'static str) -> Description {
-    Description { schema, schema_encoding: "jsonschema", text, message_encoding: "json" }
+    Description { schema, schema_encoding: "jsonschema", text: Some(text), message_encoding: "json" }
 }
 
 impl<W: Write + Seek> MapRecording<W> {
@@ -203,8 +203,12 @@ impl<W: Write + Seek> MapRecording<W> {
         let log_time = u64::try_from(time_nanos).map_err(|_| MapRecordingError::TooEarly(time_nanos))?;
         if !self.channels.contains_key(topic) {
             let Description { schema, schema_encoding, text, message_encoding } = description;
+            let definition = match text {
+                Some(text) => (*text).to_owned(),
+                None => ros_types::definition(&schema.replace("/msg/", "/")),
+            };
             // A schema that is known already keeps its number.
-            let schema = self.writer.add_schema(schema, schema_encoding, text.as_bytes())?;
+            let schema = self.writer.add_schema(schema, schema_encoding, definition.as_bytes())?;
             let channel = self.writer.add_channel(schema, topic, message_encoding, &BTreeMap::new())?;
             self.channels.insert(topic.to_owned(), (channel, 0));
         }

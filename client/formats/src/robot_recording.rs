@@ -10,121 +10,15 @@ use std::{
 
 use mcap::{McapError, WriteOptions, Writer, records::MessageHeader};
 
-use crate::cdr::{Cdr, TooLate};
+use crate::{
+    cdr::{Cdr, TooLate},
+    ros_types,
+};
 
-const TRANSFORMS: (&str, &str) = (
-    "tf2_msgs/msg/TFMessage",
-    "\
-geometry_msgs/TransformStamped[] transforms
-================================================================================
-MSG: geometry_msgs/TransformStamped
-std_msgs/Header header
-string child_frame_id
-geometry_msgs/Transform transform
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: geometry_msgs/Transform
-geometry_msgs/Vector3 translation
-geometry_msgs/Quaternion rotation
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-",
-);
-const SCAN: (&str, &str) = (
-    "sensor_msgs/msg/LaserScan",
-    "\
-std_msgs/Header header
-float32 angle_min
-float32 angle_max
-float32 angle_increment
-float32 time_increment
-float32 scan_time
-float32 range_min
-float32 range_max
-float32[] ranges
-float32[] intensities
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-",
-);
-const CLOUD: (&str, &str) = (
-    "sensor_msgs/msg/PointCloud2",
-    "\
-std_msgs/Header header
-uint32 height
-uint32 width
-sensor_msgs/PointField[] fields
-bool is_bigendian
-uint32 point_step
-uint32 row_step
-uint8[] data
-bool is_dense
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: sensor_msgs/PointField
-uint8 INT8=1
-uint8 UINT8=2
-uint8 INT16=3
-uint8 UINT16=4
-uint8 INT32=5
-uint8 UINT32=6
-uint8 FLOAT32=7
-uint8 FLOAT64=8
-string name
-uint32 offset
-uint8 datatype
-uint32 count
-",
-);
-const DOOR: (&str, &str) = (
-    "rmf_door_msgs/msg/DoorState",
-    "\
-builtin_interfaces/Time door_time
-string door_name
-rmf_door_msgs/DoorMode current_mode
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: rmf_door_msgs/DoorMode
-uint32 MODE_CLOSED=0
-uint32 MODE_MOVING=1
-uint32 MODE_OPEN=2
-uint32 MODE_OFFLINE=3
-uint32 MODE_UNKNOWN=4
-uint32 value
-",
-);
+const TRANSFORMS: &str = "tf2_msgs/TFMessage";
+const SCAN: &str = "sensor_msgs/LaserScan";
+const CLOUD: &str = "sensor_msgs/PointCloud2";
+const DOOR: &str = "rmf_door_msgs/DoorState";
 /// Number type of the coordinates of a point, and the bytes of a point.
 const FLOAT32: u8 = 7;
 const POINT_BYTES: usize = 12;
@@ -272,12 +166,14 @@ impl<W: Write + Seek> RobotRecording<W> {
     fn put(
         &mut self,
         (topic, time_nanos): (&str, i64),
-        (type_name, definition): (&str, &str),
+        type_name: &str,
         bytes: &[u8],
     ) -> Result<(), RobotRecordingError> {
         let time = u64::try_from(time_nanos).map_err(|_| RobotRecordingError::TooEarly(time_nanos))?;
         if !self.channels.contains_key(topic) {
-            let schema = self.writer.add_schema(type_name, "ros2msg", definition.as_bytes())?;
+            let definition = ros_types::definition(type_name);
+            let full_name = type_name.replace('/', "/msg/");
+            let schema = self.writer.add_schema(&full_name, "ros2msg", definition.as_bytes())?;
             let channel = self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new())?;
             self.channels.insert(topic.to_owned(), (channel, 0));
         }
