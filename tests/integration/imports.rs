@@ -161,6 +161,15 @@ fn scans_without_a_place_are_counted_and_named() {
 }
 
 #[test]
+fn one_scan_in_each_period_is_taken_if_that_is_asked_for() {
+    let (folder, daemon) = started();
+    let file = written(&folder, "drive.bag", &drive(30), usize::MAX);
+    let thinned = words(&daemon, &format!("import room {} --producer robot-1 --period 10s", file.display()));
+    assert_eq!(counts(&thinned.table(), "/scan"), [3, 27, 0]);
+    assert_eq!(counts(&thinned.table(), "/kitchen/door"), [30, 0, 0], "states are taken all");
+}
+
+#[test]
 fn what_cannot_be_imported_is_said_and_what_to_do() {
     let (folder, daemon) = started();
     let file = |name: &str, bytes: &[u8]| {

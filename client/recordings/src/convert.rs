@@ -144,6 +144,9 @@ pub enum NotMade {
     /// No frame was chosen: the recording has no transforms.
     #[error("the recording has no transforms, so where {0:?} was is not known")]
     NoFrame(String),
+    /// Another scan of the topic was taken shortly before.
+    #[error("left out, because one shortly before is taken")]
+    Thinned,
     /// The value stands for none of the state.
     #[error("the value {0:?} stands for no value of the state")]
     LeftOut(String),
@@ -166,13 +169,25 @@ impl From<KnownError> for NotMade {
     }
 }
 
+/// How messages become observations, apart from the plan.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ConvertOptions {
+    /// The clock that gives the times.
+    pub clock: Clock,
+    /// Of points of a cloud that end in the same of these cells, the first is taken; all if absent.
+    pub merge: Option<CellSize>,
+    /// Of the scans, clouds and grids of a topic, one is taken in each of these times, nanoseconds; all if 0.
+    pub period_nanos: i64,
+}
+
 /// Makes observations of messages.
 #[derive(Debug)]
 pub struct Converter {
     surveyed: Arc<Surveyed>,
     plan: Arc<Plan>,
-    clock: Clock,
-    merge: Option<CellSize>,
+    options: ConvertOptions,
+    /// The period in which the last scan, cloud or grid of each topic was taken.
+    taken: BTreeMap<usize, i64>,
     table: TopicTable,
     connections: Vec<TopicReader>,
     /// The last grid of each topic of grids whose changes are taken.
@@ -180,10 +195,10 @@ pub struct Converter {
 }
 
 impl Converter {
-    /// Prepares to convert. `merge`: of points of a cloud that end in the same cell, the first is taken.
-    pub fn new(surveyed: Arc<Surveyed>, plan: Arc<Plan>, clock: Clock, merge: Option<CellSize>) -> Self {
-        let (table, connections, grids) = Default::default();
-        Self { surveyed, plan, clock, merge, table, connections, grids }
+    /// Prepares to convert.
+    pub fn new(surveyed: Arc<Surveyed>, plan: Arc<Plan>, options: ConvertOptions) -> Self {
+        let (table, connections, grids, taken) = Default::default();
+        Self { surveyed, plan, options, taken, table, connections, grids }
     }
 
     /// Begins the next file of the recording.
@@ -216,10 +231,14 @@ impl Converter {
         let stamp = known::stamp(&message).filter(|stamp| *stamp != 0);
         // Without a stamp, the transforms at the time of recording are the best that there are.
         let stamp_nanos = stamp.unwrap_or(recorded_nanos);
-        let time_nanos = if self.clock == Clock::Stamps { stamp_nanos } else { recorded_nanos };
+        let time_nanos = if self.options.clock == Clock::Stamps { stamp_nanos } else { recorded_nanos };
         let mut made: Vec<Result<Made, NotMade>> = Vec::new();
         if let Some(grid) = plan.grid {
-            made.push(self.grid(grid, index, &message, stamp_nanos));
+            made.push(if self.is_thinned(grid, index, time_nanos) {
+                Err(NotMade::Thinned)
+            } else {
+                self.grid(grid, index, &message, stamp_nanos)
+            });
         }
         for (rule, state) in plan.states.iter().enumerate() {
             made.extend(states(rule, state, &message));
@@ -231,6 +250,18 @@ impl Converter {
             made.push(traversal(rule, &message, time_nanos));
         }
         made.into_iter().map(|made| made.map(|made| Item { time_nanos, made })).collect()
+    }
+
+    /// Whether a scan, a cloud or a grid follows another one of its topic too soon. Changes of grids build upon each
+    /// other, so all are taken.
+    fn is_thinned(&mut self, grid: GridUse, topic: usize, time_nanos: i64) -> bool {
+        let period_nanos = self.options.period_nanos;
+        let has_changes = self.plan.topics.iter().any(|plan| plan.grid == Some(GridUse::GridChanges(topic)));
+        if period_nanos <= 0 || matches!(grid, GridUse::GridChanges(_)) || has_changes {
+            return false;
+        }
+        let slot = time_nanos.div_euclid(period_nanos);
+        self.taken.insert(topic, slot) == Some(slot)
     }
 
     /// The pose of a frame at a time in the frame of the plan.
@@ -270,7 +301,7 @@ impl Converter {
                 let cloud = Cloud::read(message)?;
                 let pose = self.sensor_pose(&frame, stamp)?;
                 let finite = cloud.points().filter(|point| point.iter().all(|along| along.is_finite()));
-                let (points_m, points_before) = match self.merge {
+                let (points_m, points_before) = match self.options.merge {
                     Some(cell) => merged::points(finite, &pose, cell),
                     None => {
                         let points: Vec<[f32; 3]> = finite.map(|point| point.map(|along| along as f32)).collect();

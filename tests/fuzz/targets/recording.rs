@@ -4,7 +4,7 @@
 use std::{io::Cursor, sync::Arc};
 
 use tidemap_recordings::{
-    convert::{CellSize, Clock, Converter},
+    convert::{CellSize, ConvertOptions, Converter},
     kind::read,
     plan::{Wishes, plan},
     recording::{FileKind, RecordedMessage, Sink, Stopped, Topic},
@@ -32,6 +32,6 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let surveyed = survey.finish();
     let Ok(plan) = plan(&surveyed, &Wishes::default()) else { return };
     let cells = CellSize { resolution_m: 0.1, origin_m: [0.0; 3] };
-    let converter = Converter::new(Arc::new(surveyed), Arc::new(plan), Clock::Stamps, Some(cells));
+    let converter = Converter::new(Arc::new(surveyed), Arc::new(plan), ConvertOptions { merge: Some(cells), ..ConvertOptions::default() });
     let _ = read(kind, Cursor::new(bytes), &mut Converting(converter));
 });

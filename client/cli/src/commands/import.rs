@@ -30,7 +30,7 @@ use super::{
     grid::sensor,
     map::grid_spec::GridArg,
     observe::{SenderArgs, base_name, exit_code, free_label, open_stream, run_transfer, transfer::TransferEnd},
-    usage,
+    times, usage,
 };
 use crate::{
     commands::observe::feed::RefusalReport,
@@ -75,6 +75,9 @@ pub(crate) struct ImportArgs {
     /// Nearer points of clouds are left out, such as points of the robot itself [default: 0]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     min_range: Option<f32>,
+    /// Of the scans, clouds and grids of a topic, takes one in each of these times, such as 1s [default: all]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    period: Option<i64>,
     /// Casts a ray to each point of a cloud; by default one to each cell in which points lie
     #[arg(long)]
     every_point: bool,

@@ -6,7 +6,7 @@ use std::{collections::BTreeSet, path::Path, sync::Arc};
 
 use nalgebra::{Point3, Vector3};
 use tidemap_recordings::{
-    convert::{Clock, Converter, Item, Made, NotMade},
+    convert::{ConvertOptions, Converter, Item, Made, NotMade},
     kind::read,
     mapping::Mapping,
     plan::{Plan, Wishes, plan},
@@ -50,7 +50,7 @@ fn surveyed(path: &Path) -> Arc<Surveyed> {
 
 fn items(path: &Path, surveyed: &Arc<Surveyed>, plan: Plan, topic: &str) -> Vec<Result<Item, NotMade>> {
     let topic = surveyed.topics.iter().position(|known| known.name == topic).expect("the topic");
-    let converter = Converter::new(surveyed.clone(), Arc::new(plan), Clock::Stamps, None);
+    let converter = Converter::new(surveyed.clone(), Arc::new(plan), ConvertOptions::default());
     let mut kept = Kept { converter, topic, items: Vec::new() };
     read(kind(path).expect("a known kind"), open(path), &mut kept).expect("a recording");
     kept.items

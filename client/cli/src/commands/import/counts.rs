@@ -57,6 +57,7 @@ impl TopicCounts {
             | NotMade::NoFrame(_)
             | NotMade::NoSensor(_)
             | NotMade::Nothing(_)
+            | NotMade::Thinned
             | NotMade::LeftOut(_) => count.skipped += 1,
         }
         count.reason(&why.to_string());

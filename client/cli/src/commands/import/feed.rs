@@ -12,7 +12,7 @@ use tidemap_client::{
     routes::StateName,
 };
 use tidemap_recordings::{
-    convert::{Converter, Item, Made, NotMade},
+    convert::{ConvertOptions, Converter, Item, Made, NotMade},
     recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 use tokio::sync::mpsc;
@@ -75,8 +75,9 @@ pub(super) type ImportChunks = mpsc::Receiver<anyhow::Result<ImportChunk>>;
 pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) -> anyhow::Result<ImportChunks> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let merge = if args.every_point { None } else { prepared.cells() };
+    let options = ConvertOptions { clock: args.times.into(), merge, period_nanos: args.period.unwrap_or(0) };
     let mut reader = Reader {
-        converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), args.times.into(), merge),
+        converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), options),
         grid: prepared.grid.clone(),
         ranges: Ranges { min_m: args.min_range, max_m: args.max_range },
         chunk: ImportChunk::default(),
