@@ -109,6 +109,7 @@ python: wheel
 
 ## ros-test: the wheel, and the package for ROS with real ROS 2 (DISTRO=kilted, or jazzy) and a real daemon
 ros-test: wheel
+	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins
 	@$(ENV); deploy/ros_test.sh $(or $(DISTRO),kilted)
 
 ## cpp-test: builds the example of client/cpp with Debian's gRPC, and runs it against a real daemon

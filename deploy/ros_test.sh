@@ -4,6 +4,7 @@
 #
 #   deploy/ros_test.sh [kilted|jazzy [ARGUMENTS OF PYTEST]]
 #   TIDEMAPD=PATH             another daemon than that of the wheel
+#   TIDEMAP=PATH              the program tidemap (default: the debug build, if there is one)
 #   TIDEMAP_ROS_SECONDS=600   how long clouds of 100,000 points are sent at 10 Hz (default 10)
 #
 # ROS comes from the Python package index, with the versions and hashes of deploy/ros_*.txt, for Python 3.11. As root
@@ -43,6 +44,8 @@ fi
 "$environment/bin/pip" install --quiet --disable-pip-version-check --force-reinstall --no-deps \
     target/wheels/tidemap-*.whl
 
+built=$(realpath -m "${CARGO_TARGET_DIR:-target}")/debug/tidemap
+if [ -z "${TIDEMAP:-}" ] && [ -x "$built" ]; then export TIDEMAP=$built; fi
 package=$PWD/client/ros/tidemap_ros
 run=$PWD/$environment/bin
 export PYTHONPATH=$package PYTHONDONTWRITEBYTECODE=1 RMW_IMPLEMENTATION=rmw_fastrtps_cpp ROS_DOMAIN_ID=$DOMAIN

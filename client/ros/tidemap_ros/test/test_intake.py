@@ -25,10 +25,10 @@ class Bench:
 
     def __init__(self, folder, megabytes: float = 1, **parameters) -> None:
         self.spool = Spool(folder, int(megabytes * 1e6))
-        self.seconds = 0.0
+        self.seconds, self.now = 0.0, NOW
         self.log: list[str] = []
         self.intake = Intake(
-            Settings(parameters), self.spool, Transforms(), lambda: NOW, lambda: self.seconds, self.log.append
+            Settings(parameters), self.spool, Transforms(), lambda: self.now, lambda: self.seconds, self.log.append
         )
 
     @property
@@ -199,3 +199,14 @@ def test_grids_keep_the_pose_of_their_corner(bench):
     bench.intake.grid("map", Message(header=header("slam", NOW), info=info, data=array.array("b", [-1, 100])))
     (taken,) = bench.taken
     assert taken.pose[:3] == (11.0, 2.0, 0.0) and taken.cells.tolist() == [[-1, 1]] and taken.resolution_m == 0.5
+
+
+def test_before_the_first_time_on_clock_nothing_is_observed_in_1970(tmp_path):
+    bench = Bench(tmp_path)
+    bench.now = 0
+    bench.intake.observe(json.dumps({"state": "door", "value": 1}))
+    assert bench.taken == [] and bench.intake.counts.reasons == {"no time": 1} and "/clock" in bench.log[0]
+    bench.intake.observe(json.dumps({"state": "door", "value": 1, "stamp": NOW // SECOND}))
+    bench.now = NOW + SECOND
+    bench.intake.observe(json.dumps({"state": "door", "value": 0}))
+    assert [record.time_nanos for record in bench.taken] == [NOW, NOW + SECOND]

@@ -33,6 +33,13 @@ def test_words_that_are_no_time_are_refused(words):
         clock_words.nanos(words, NOW)
 
 
+@pytest.mark.parametrize("words, needed", [
+    ("now", True), ("", True), (" +2h", True), ("-1d", True), ("now - 1h", True), ("2026-01-05T12:00:00Z", False),
+])
+def test_only_a_time_of_its_own_needs_no_clock(words, needed):
+    assert clock_words.needs_now(words) == needed
+
+
 def test_parameters_have_types_and_limits():
     settings = Settings({"map_period": 5, "scan_topics": ["front", "", "back"], "map_region": [0, 0, 2, 3.5]})
     assert settings.number("map_period") == 5.0 and settings.texts("scan_topics") == ["front", "back"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tidemap_ros import arrays
+from tidemap_ros import arrays, clock_words
 from tidemap_ros.parameters import Settings
 from tidemap_ros.sender import MapGrid
 
@@ -26,6 +26,14 @@ _ALL_LAYERS = (-(1 << 20), 1 << 20)
 
 class NoMap(Exception):
     """There is nothing to show yet; the message says why."""
+
+
+def moment(words: str, now_nanos: int) -> int:
+    """The time of words such as ``+2h``, nanoseconds. ``now_nanos`` is 0 before the first time on ``/clock``."""
+    if now_nanos == 0 and clock_words.needs_now(words):
+        # Until then ROS says that it is 1970, of which nobody wants a map.
+        raise NoMap("there is no time yet: use_sim_time is set, and nothing has come on /clock")
+    return clock_words.nanos(words, now_nanos)
 
 
 @dataclass(frozen=True)

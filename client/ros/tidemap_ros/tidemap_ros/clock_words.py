@@ -39,6 +39,12 @@ def nanos(words: str, now_nanos: int) -> int:
     return _checked(((since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds) * 1000, words)
 
 
+def needs_now(words: str) -> bool:
+    """Whether the time of these words depends on what time it is."""
+    text = words.strip()
+    return not text or text.startswith(("now", "+", "-"))
+
+
 def _checked(found: int, words: str) -> int:
     if not 0 <= found < 2**63:
         raise BadTime(f"{words!r} is before 1970 or after 2262")

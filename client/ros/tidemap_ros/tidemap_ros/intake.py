@@ -285,6 +285,8 @@ class Intake:
     def take(self, record: records.Record) -> None:
         """Takes a record into the spool."""
         nanos = records.time_of(record)
+        if nanos == 0:
+            return self._left_out("no time", "an observation without a stamp, while nothing has come on /clock")
         if not 0 <= nanos < 2**63:
             return self._left_out("malformed", f"the time {nanos} ns is before 1970 or after 2262")
         try:

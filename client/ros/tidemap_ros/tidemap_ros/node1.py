@@ -24,7 +24,7 @@ from std_msgs.msg import String
 
 import tidemap
 from tidemap_ros import clock_words, health, optional, traversals
-from tidemap_ros.charts import Charts, NoMap
+from tidemap_ros.charts import Charts, NoMap, moment
 from tidemap_ros.intake import Intake
 from tidemap_ros.link import Link
 from tidemap_ros.parameters import TABLE, BadParameter, Settings, checked
@@ -135,7 +135,7 @@ class Node:
         return str(checked(name, rospy.get_param(f"~{name}", self._settings.text(name))))
 
     def _grid(self, words: str, output: str) -> OccupancyGrid:
-        nanos = clock_words.nanos(words, self._now())
+        nanos = moment(words, self._now())
         cells, region = self._charts.cells(nanos, output), self._charts.region
         message = OccupancyGrid()
         message.header.frame_id, message.header.stamp = self._settings.text("map_frame"), rospy.Time.now()

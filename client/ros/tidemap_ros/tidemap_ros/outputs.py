@@ -21,7 +21,7 @@ import tidemap
 from tidemap.times import timestamp
 from tidemap_ros import clock_words, graph, health, masks, messages, optional
 from tidemap_ros.arrays import Cells
-from tidemap_ros.charts import Charts, NoMap
+from tidemap_ros.charts import Charts, NoMap, moment
 from tidemap_ros.inputs import LATCHED, Inputs
 from tidemap_ros.link import Link
 from tidemap_ros.parameters import Settings
@@ -91,8 +91,9 @@ class Outputs:
                 task.done, task.error = task.done + 1, None
                 task.due = time.monotonic() + task.period_secs
 
-    def _now(self) -> int:
-        return int(self._node.get_clock().now().nanoseconds)
+    def _moment(self, words: str) -> int:
+        """The time of words such as ``+2h``, nanoseconds."""
+        return moment(words, int(self._node.get_clock().now().nanoseconds))
 
     def _message(self, cells: Cells, shown_nanos: int) -> OccupancyGrid:
         stamp = self._node.get_clock().now().to_msg()
@@ -116,7 +117,7 @@ class Outputs:
         self._node.create_service(LoadMap, "~/get_map_at", self._get_map_at, callback_group=services)
 
     def _shown(self, words: str, output: str | None) -> OccupancyGrid:
-        nanos = clock_words.nanos(words, self._now())
+        nanos = self._moment(words)
         return self._message(self.charts.cells(nanos, output or self.map_output), nanos)
 
     def show(self, map_time: str, map_output: str) -> None:
@@ -162,7 +163,7 @@ class Outputs:
         publisher = self._node.create_publisher(OccupancyGrid, topic, LATCHED)
 
         def publish() -> None:
-            nanos = clock_words.nanos(self.map_time, self._now())
+            nanos = self._moment(self.map_time)
             if source == "people":
                 values = self.charts.people(nanos)
             else:
@@ -211,7 +212,7 @@ class Outputs:
                 self._every("edges", settings.number("edges_period"), lambda: self._reprice(client, kind, cost))
 
     def _predicted(self) -> list[dict[str, Any]]:
-        nanos = clock_words.nanos(self.map_time, self._now())
+        nanos = self._moment(self.map_time)
         asked = {
             "map": self._settings.text("map"), "time": timestamp(nanos),
             "model": self._settings.text("model"),

@@ -98,7 +98,8 @@ def _table() -> tuple[Parameter, ...]:
     add("map_region", [], "x, y of the lower and of the upper corner, metres; empty: what the map has when the node "
         "starts, which does not change after that")
     add("map_heights", [], "lowest and highest height that counts, metres; empty: all. Of flat maps it is ignored")
-    add("model", "auto", "model that predicts; `auto` shows what was seen last until the first nightly update")
+    add("model", "auto", "model that predicts; `auto` shows what was seen last until the first nightly update; with "
+        "`auto+memory` what was seen since the last update counts, too")
 
     group = "Masks for Nav2's costmap filters"
     add("keepout_source", "", "what keeps robots out: `occupancy`, `entropy` or `people`; empty: no mask", None,
