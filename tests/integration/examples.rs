@@ -75,6 +75,7 @@ pages! {
     people: "docs/src/people.md",
     python: "docs/src/python.md",
     recordings: "docs/src/recordings.md",
+    ros: "docs/src/ros.md",
     rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",
