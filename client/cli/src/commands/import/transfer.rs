@@ -17,7 +17,7 @@ use super::{
 use crate::{
     commands::observe::{
         feed::RefusalReport,
-        transfer::{Transfer, TransferEnd},
+        transfer::{Transfer, TransferEnd, ended},
     },
     progress::Bar,
 };
@@ -242,13 +242,8 @@ impl Transfer for ImportTransfer {
     }
 
     async fn run(&mut self) -> TransferEnd {
-        match self.send_all().await {
-            // The observations before the error count.
-            TransferEnd::Unreadable(error) => {
-                self.flush().await.map_or_else(TransferEnd::Stopped, |()| TransferEnd::Unreadable(error))
-            }
-            end => end,
-        }
+        let end = self.send_all().await;
+        ended(self, end).await
     }
 
     async fn flush(&mut self) -> Result<(), ProducerError> {

@@ -131,6 +131,16 @@ pub(crate) trait Transfer {
     fn flush(&mut self) -> impl Future<Output = Result<(), ProducerError>>;
 }
 
+/// How a transfer ended, once what was sent before is durable: what comes before an error in a file counts.
+pub(crate) async fn ended(transfer: &mut impl Transfer, end: TransferEnd) -> TransferEnd {
+    match end {
+        TransferEnd::Unreadable(error) => {
+            transfer.flush().await.map_or_else(TransferEnd::Stopped, |()| TransferEnd::Unreadable(error))
+        }
+        end => end,
+    }
+}
+
 /// How a transfer of rows or scans ended.
 pub(crate) enum TransferEnd {
     /// Everything is durable.

@@ -10,7 +10,7 @@ use super::super::scans::{ScanChunk, ScanChunks, ScanInput};
 use crate::{
     commands::observe::{
         feed::RefusalReport,
-        transfer::{Transfer, TransferEnd},
+        transfer::{Transfer, TransferEnd, ended},
     },
     progress::Bar,
 };
@@ -182,13 +182,8 @@ impl Transfer for ScanTransfer {
     }
 
     async fn run(&mut self) -> TransferEnd {
-        match self.send_all().await {
-            // The scans before the error count.
-            TransferEnd::Unreadable(error) => {
-                self.flush().await.map_or_else(TransferEnd::Stopped, |()| TransferEnd::Unreadable(error))
-            }
-            end => end,
-        }
+        let end = self.send_all().await;
+        ended(self, end).await
     }
 
     async fn flush(&mut self) -> Result<(), ProducerError> {
