@@ -1,7 +1,8 @@
 //! `tidemap foxglove`: a server for the program Foxglove, whose time bar then reaches from the first observation of a
 //! map into the future.
 //!
-//! Invariant: it answers reads only. Without `--listen` it is reached from this machine alone.
+//! Invariant: it answers reads only. Other machines reach it only if the command says
+//! `--allow-insecure-remote`.
 
 #[cfg(any(feature = "foxglove", test))]
 mod playback;
@@ -42,10 +43,13 @@ pub(crate) struct FoxgloveArgs {
     /// Port to listen on; 0 for any that is free
     #[arg(long, default_value_t = 8765)]
     port: u16,
-    /// Address to listen on. Whoever reaches another than the default one sees the map: there is neither a key nor
-    /// encryption
+    /// Address to listen on; another than one of this machine alone needs --allow-insecure-remote
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1")]
     listen: IpAddr,
+    /// Listen where other machines reach the server: whoever does so sees the map, for there is neither a key nor
+    /// encryption
+    #[arg(long)]
+    allow_insecure_remote: bool,
     /// Beginning of the time bar [default: the first observation]
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     from: Option<i64>,
@@ -81,6 +85,13 @@ struct Served {
 }
 
 pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result<ExitCode> {
+    if !args.listen.is_loopback() && !args.allow_insecure_remote {
+        return Err(usage(format!(
+            "--listen {}: whoever reaches the server sees the map, for there is neither a key nor encryption. Use a tunnel \
+             (ssh -L), or say --allow-insecure-remote",
+            args.listen
+        )));
+    }
     let name = match &args.map {
         Some(name) => name.clone(),
         None => only_map(session).await?,
