@@ -141,8 +141,8 @@ pub enum NotMade {
     /// The pose of its frame is not known.
     #[error("{0}")]
     NoTransform(#[from] FrameError),
-    /// No frame was chosen: the recording has no transforms.
-    #[error("the recording has no transforms, so where {0:?} was is not known")]
+    /// No frame was chosen: no transforms say where the robot was.
+    #[error("nothing in the recording says where {0:?} was")]
     NoFrame(String),
     /// Another scan of the topic was taken shortly before.
     #[error("left out, because one shortly before is taken")]

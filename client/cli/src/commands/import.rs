@@ -69,10 +69,10 @@ pub(crate) struct ImportArgs {
     /// Time zone of a new map, for example Europe/London [default: UTC]
     #[arg(long, value_name = "IANA")]
     time_zone: Option<String>,
-    /// Beyond this range a reading only says that the space up to it is free [default: that of the sensor, at most 100]
+    /// Beyond this range a reading only frees the space up to it [default: the limit of the sensor, at most 100]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     max_range: Option<f32>,
-    /// Nearer points of clouds are left out, such as points of the robot itself [default: 0]
+    /// Nearer readings are left out, such as those of the robot itself [default: the limit of the sensor; of clouds 0]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     min_range: Option<f32>,
     /// Of the scans, clouds and grids of a topic, takes one in each of these times, such as 1s [default: all]
@@ -121,12 +121,17 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
         list::print(session, &planned)?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !planned.plan.topics.iter().any(|plan| plan.is_observed()) || list::is_all_without_place(&planned) {
+    if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
         list::print(session, &planned)?;
         status_line("nothing can be made of these recordings: --mapping says what to make of other topics");
         return Ok(ExitCode::FAILURE);
     }
     list::tell(&planned);
+    if list::is_all_without_place(&planned) {
+        list::print_counts(session, &planned, &TopicCounts::without_place(&planned.surveyed, &planned.plan))?;
+        status_line("nothing is sent: none of these messages has a place");
+        return Ok(ExitCode::FAILURE);
+    }
     send(session, args, planned).await
 }
 

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use tidemap_recordings::{convert::NotMade, survey::Surveyed};
+use tidemap_recordings::{convert::NotMade, plan::Plan, survey::Surveyed};
 
 use crate::progress::status_line;
 
@@ -43,6 +43,15 @@ pub(super) struct TopicCounts(Vec<TopicCount>);
 impl TopicCounts {
     pub(super) fn new(surveyed: &Surveyed) -> Self {
         Self(vec![TopicCount::default(); surveyed.topics.len()])
+    }
+
+    /// Counts of a recording of which no scan and no cloud has a place: all are skipped.
+    pub(super) fn without_place(surveyed: &Surveyed, plan: &Plan) -> Self {
+        let skipped = surveyed.topics.iter().zip(&plan.topics).map(|(topic, plan)| {
+            let skipped = if plan.is_observed() { topic.messages } else { 0 };
+            TopicCount { skipped, ..TopicCount::default() }
+        });
+        Self(skipped.collect())
     }
 
     pub(super) fn topics(&self) -> impl Iterator<Item = &TopicCount> {
