@@ -29,7 +29,6 @@ ORDER_ACCEPTED_MAX = 100
 """A higher order is refused, as fremenserver does."""
 BETTER_BY = 0.001
 """An order is better than a lower one only if its error is lower by more than this."""
-STARTS_OVER = "the readings that are durable are not added again"
 
 
 @dataclass
@@ -93,14 +92,12 @@ class Fremen:
             raise Refused(f"values has no number at index {row}: {values[row]}")
         self._link.ensure_map()
         try:
-            last = self._states.described(name).get("last_time")
-            kind = None
+            last, kind = self._states.described(name).get("last_time"), None
         except Refused as refusal:
             if refusal.code != UNKNOWN:
                 raise
-            last = None
-            # Probabilities are from 0 to 1; a state is what its first readings are.
-            kind = None if ((values >= 0) & (values <= 1)).all() else "continuous"
+            # A state is of the kind of its first readings, and probabilities are from 0 to 1.
+            last, kind = None, None if ((values >= 0) & (values <= 1)).all() else "continuous"
         fresh = seconds * SECOND > (nanos(last) if last else -1)
         self._send(name, seconds[fresh], values[fresh], kind)
         count = int(fresh.sum())
@@ -259,7 +256,7 @@ class Fremen:
 
     @staticmethod
     def _debug(goal: Any) -> Answer:
-        return Answer(True, 1, "Nothing is printed: `tidemap states` and `tidemap model` show states and models.")
+        return Answer(True, 1, "Nothing is printed: `tidemap state list` and `tidemap model show` show what is known.")
 
 
 def entropies(values: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """The node for ROS 1: scans, clouds, grids, values and traversals in, the map of any time out.
 
 It has the parameters of the node for ROS 2, as private ones: ``python3 -m tidemap_ros.node1 _map:=office``. Masks,
-markers and Nav2 are not in it.
+markers and Nav2 are not in it; the actions of fremenserver and frenap are.
 
 Invariant: what was taken before the end is on the disk when the node has ended.
 """
@@ -24,6 +24,7 @@ from std_msgs.msg import String
 
 import tidemap
 from tidemap_ros import clock_words, health, optional, traversals
+from tidemap_ros.actions1 import Actions
 from tidemap_ros.charts import Charts, NoMap, moment
 from tidemap_ros.intake import Intake
 from tidemap_ros.link import Link
@@ -60,6 +61,7 @@ class Node:
         self._is_ending = threading.Event()
         self._listen()
         self._publish()
+        self._actions = Actions(settings, self._link)
         self._sender.start()
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._retry, self._show, self._diagnose)

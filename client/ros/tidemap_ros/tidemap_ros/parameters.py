@@ -125,6 +125,16 @@ def _table() -> tuple[Parameter, ...]:
     add("edges_period", 60.0, "seconds between two calls of it", 0.1)
     add("edge_closed_below", 0.2, "probability of success below which an edge is closed", 0)
 
+    group = "Actions of fremenserver and frenap, with ROS 1 only"
+    add("fremen_action", "", "name of the action that answers as fremenserver does, `/fremenserver` for its clients; "
+        "empty: none")
+    add("fremen_detect", True, "whether clients know the operation `detect`, as the newest definition of "
+        "fremenserver has it; ignored where the package `fremenserver` is installed, whose definition counts")
+    add("fremen_learn_period", 0.0, "seconds between two updates of the map that a prediction starts because readings "
+        "of its state were added; 0: every such prediction starts one", 0)
+    add("prediction_action", "", "name of the action that answers as frenap does, `/FreNaP` for its clients; empty: "
+        "none")
+
     group = "Diagnostics"
     add("diagnostics_period", 1.0, "seconds between two messages on `/diagnostics`", 0.1)
     return tuple(found)
