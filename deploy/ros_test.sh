@@ -69,10 +69,11 @@ fi
 "${apart[@]}" "$run/python" -m pytest -q -p no:cacheprovider -s "$package/test/real" "$@"
 
 # ROS 1 as Debian has it, for Debian's Python.
-needed='rospy, rosmaster, tf2_msgs, nav_msgs, sensor_msgs, diagnostic_msgs, numpy, venv, ensurepip'
+needed='rospy, rosmaster, tf2_msgs, nav_msgs, sensor_msgs, diagnostic_msgs, actionlib, genpy, numpy, venv, ensurepip'
 if ! /usr/bin/python3 -c "import $needed" 2>/dev/null; then
     say "SKIPPED: the node for ROS 1 needs Debian's python3-rospy, python3-rosmaster, python3-tf2-msgs," \
-        "python3-nav-msgs, python3-sensor-msgs, python3-diagnostic-msgs, python3-numpy and python3-venv"
+        "python3-nav-msgs, python3-sensor-msgs, python3-diagnostic-msgs, python3-actionlib, python3-genpy," \
+        "python3-numpy and python3-venv"
 else
     rm -rf ros1
     /usr/bin/python3 -m venv --system-site-packages ros1

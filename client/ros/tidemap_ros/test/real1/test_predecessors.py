@@ -152,7 +152,8 @@ def test_the_rhythms_that_are_viewed_are_those_that_predict(bench):
 def test_values_and_removal(bench):
     peer = taught(bench)
     warmth = 0.5 + 0.4 * np.cos(2 * np.pi * TWO_WEEKS / DAY)
-    assert peer.done(operation="addvalues", id="warmth", times=TWO_WEEKS.tolist(), values=warmth.tolist()).success == 2016
+    added = peer.done(operation="addvalues", id="warmth", times=TWO_WEEKS.tolist(), values=warmth.tolist())
+    assert added.success == 2016
     predicted = peer.done(operation="predict", id="warmth", times=[int(MONDAY + 14 * DAY)], order=1)
     assert predicted.probabilities[0] == pytest.approx(0.9, abs=0.03)
     # Values beyond 0 to 1 make a state of another kind.
