@@ -79,8 +79,9 @@ class Daemon:
             raise self.error
         self.kinds.append(options["kind"])
 
-        def send(state: str, nanos: int, value: float) -> None:
-            self.readings.setdefault(state, []).append((nanos, value))
+        def send(state: str, seconds: float, value: float) -> None:
+            assert isinstance(seconds, float)
+            self.readings.setdefault(state, []).append((int(seconds * SECOND), value))
 
         return Message(send=send, flush=lambda: 0, take_refusals=lambda: self.refusals, close=lambda: None,
                        abandon=lambda: None)

@@ -112,7 +112,8 @@ class Fremen:
         )
         try:
             for second, value in zip(seconds.tolist(), values.tolist()):
-                producer.send(name, second * SECOND, value)
+                # Floats are seconds; small integers are refused, and simulated clocks begin at 0.
+                producer.send(name, float(second), value)
             producer.flush()
             refusals = producer.take_refusals()
         except BaseException:
