@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from types import SimpleNamespace as Message
 
 import numpy as np
@@ -300,3 +301,12 @@ def test_a_definition_names_all_its_parts():
     assert len(parts) == 8 and parts[0].startswith("TopologicalPredictionActionGoal action_goal")
     assert parts[-1].strip() == "MSG: std_msgs/Header\nuint32 seq"
     assert action_types.FREMEN.type_name == "fremenserver/FremenAction"
+
+
+def test_types_that_are_installed_are_used(monkeypatch):
+    lines: list[str] = []
+    monkeypatch.setitem(sys.modules, "frenap", Message())
+    monkeypatch.setitem(sys.modules, "frenap.msg", Message(TopologicalPredictionAction="theirs"))
+    assert action_types.action(action_types.PREDICTION, lines.append) == "theirs" and not lines
+    monkeypatch.setattr(action_types, "generated", lambda definition: {definition.type_name: "ours"})
+    assert action_types.action(action_types.FREMEN, lines.append) == "ours" and "fremenserver.msg" in lines[0]
