@@ -161,7 +161,8 @@ def test_orders_are_compared_with_what_was_seen(daemon, link):
     compared = fremen.answer(goal("evaluate", id="door", times=[5, 6, 7, 8], states=[True] * 3 + [False], order=20))
     assert compared.success == 3 and len(compared.errors) == 21
     assert compared.errors[:3] == [0.75] * 3 and set(compared.errors[3:]) == {0.25}
-    for wrong in (goal("evaluate", id="door", order=2), goal("evaluate", id="door", times=[1], states=[True], order=-1)):
+    no_order = goal("evaluate", id="door", times=[1], states=[True], order=-1)
+    for wrong in (goal("evaluate", id="door", order=2), no_order):
         assert not fremen.answer(wrong).is_done
 
 
@@ -209,7 +210,8 @@ def test_refusals_have_codes_and_words(daemon, link):
     for code, asked in (
         (0, goal("")), (0, goal("dance" * 1000)), (-1, goal("predict", id="door", times=[1])),
         (-1, goal("predict", id="door")), (-1, goal("remove", id="door")), (-3, goal("remove")),
-        (-2, goal("add", id="door", times=[1], states=[])), (-3, goal("addvalues", id="d", times=[1], values=[math.nan])),
+        (-2, goal("add", id="door", times=[1], states=[])),
+        (-3, goal("addvalues", id="d", times=[1], values=[math.nan])),
         (-3, goal("addvalues", id="d", times=[1], values=[math.inf])), (-3, goal("predict", id="place", times=[1])),
         (-3, goal("predict", id="door", times=range(predecessors.TIMES_MAX + 1))),
     ):

@@ -5,6 +5,8 @@ Invariant: whatever a goal has in it, it ends with a result and a message, and t
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 import rospy
@@ -16,6 +18,10 @@ from tidemap_ros.frenap import EdgesAnswer, Frenap
 from tidemap_ros.link import Link
 from tidemap_ros.parameters import Settings
 from tidemap_ros.predecessors import FAILED
+
+SOONEST_SECS = 0.05
+"""Clients of actionlib in Python lose a result that comes before their ``send_goal`` has returned, and wait for ever.
+The predecessors looked for goals every 30 ms, so that their clients never met this."""
 
 
 class Actions:
@@ -60,7 +66,7 @@ class Actions:
                 result.anomalyTimes, result.anomalyValues = answer.anomaly_times, answer.anomaly_values
             self._end(running, name, answer.is_done, result)
 
-        running = server(name, kind, execute_cb=execute, auto_start=False)
+        running = server(name, kind, execute_cb=_not_at_once(execute), auto_start=False)
         running.start()
         self._servers.append(running)
         # Clients of fremenserver build their models anew when they hear this.
@@ -85,7 +91,7 @@ class Actions:
             )
             self._end(running, name, answer.success, result)
 
-        running = server(name, kind, execute_cb=execute, auto_start=False)
+        running = server(name, kind, execute_cb=_not_at_once(execute), auto_start=False)
         running.start()
         self._servers.append(running)
 
@@ -96,3 +102,13 @@ class Actions:
         else:
             rospy.logwarn(f"{name}: {result.message}")
             server.set_aborted(result, result.message)
+
+
+def _not_at_once(execute: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Does it after a moment, see ``SOONEST_SECS``."""
+
+    def later(goal: Any) -> None:
+        time.sleep(SOONEST_SECS)
+        execute(goal)
+
+    return later
