@@ -21,7 +21,7 @@ from tidemap_ros.predecessors import FAILED
 
 SOONEST_SECS = 0.05
 """Clients of actionlib in Python lose a result that comes before their ``send_goal`` has returned, and wait for ever.
-The predecessors looked for goals every 30 ms, so that their clients never met this."""
+The predecessors looked for goals every 30 ms, so that their clients seldom met this."""
 
 
 class Actions:
