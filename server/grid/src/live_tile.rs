@@ -114,23 +114,33 @@ impl LiveTile {
     /// Applies a scan that is newer than all before; the tile is settled.
     pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let (observed, occupied) = (masks.observed(), masks.occupied());
-        let utc_nanos = time.utc_nanos;
         // With another sensor, the value of every cell may change.
         let same = self.current & observed;
         let may_change = if time.sensor == self.sensor { (self.occupied ^ occupied) & same } else { same };
-        for cell in may_change.cells() {
-            let size = self.change(cell, self.sensor, time.sensor, occupied.contains(cell), sensors);
-            self.note_change(cell, size, self.newest_nanos, utc_nanos);
-        }
+        let (left, entered) = (self.current.without(observed), observed.without(self.current));
+        let returned: Vec<Away> = match entered.is_empty() {
+            true => Vec::new(),
+            false => self.away.extract_if(.., |away| entered.contains(away.cell)).collect(),
+        };
+        let change = |cell: u16, sensor: SensorId, from_nanos: i64| {
+            let size = self.change(cell, sensor, time.sensor, occupied.contains(cell), sensors);
+            Some((cell, change_rate(size, from_nanos, time.utc_nanos)?))
+        };
+        let stayed = may_change.cells().filter_map(|cell| change(cell, self.sensor, self.newest_nanos));
+        let back = returned.iter().filter_map(|away| change(away.cell, away.sensor, away.last_nanos));
+        let mut rates: Vec<(u16, f64)> = stayed.collect();
+        rates.extend(back);
+        rates.sort_by_key(|(cell, _)| *cell);
+        self.add_rates(&rates);
         if observed != self.current {
-            self.leave(self.current.without(observed));
-            self.enter(observed.without(self.current), occupied, time, sensors);
+            self.leave(left);
+            self.enter(entered, &returned);
             self.known |= observed;
             self.current = observed;
         }
         self.scans += 1;
         self.occupied = self.occupied.without(observed) | occupied;
-        self.newest_nanos = utc_nanos;
+        self.newest_nanos = time.utc_nanos;
         self.sensor = time.sensor;
     }
 
@@ -143,6 +153,7 @@ impl LiveTile {
     /// Applies a scan that is not newer than all before: it counts for cells whose own observations are older.
     pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let ScanTime { utc_nanos, sensor, .. } = time;
+        let mut rates = Vec::new();
         for cell in masks.observed().without(self.current).cells() {
             let is_occupied = masks.occupied().contains(cell);
             match self.away.binary_search_by_key(&cell, |away| away.cell) {
@@ -153,7 +164,7 @@ impl LiveTile {
                     }
                     self.away[at] = Away { cell, sensor, last_nanos: utc_nanos, pairs: pairs + 1 };
                     let size = self.change(cell, before, sensor, is_occupied, sensors);
-                    self.note_change(cell, size, last_nanos, utc_nanos);
+                    rates.extend(change_rate(size, last_nanos, utc_nanos).map(|rate| (cell, rate)));
                     if self.occupied.contains(cell) != is_occupied {
                         self.occupied.flip(cell);
                     }
@@ -167,47 +178,55 @@ impl LiveTile {
                 }
             }
         }
+        self.add_rates(&rates);
     }
 
-    fn note_change(&mut self, cell: u16, size: f64, from_nanos: i64, to_nanos: i64) {
-        if size == 0.0 {
+    /// Adds to the change rates of cells, given ascending.
+    fn add_rates(&mut self, rates: &[(u16, f64)]) {
+        let (known, mut at) = (self.change_rates.len(), 0);
+        for &(cell, rate) in rates {
+            at += self.change_rates[at..known].iter().take_while(|(known, _)| *known < cell).count();
+            match self.change_rates[at..known].first_mut().filter(|(known, _)| *known == cell) {
+                Some((_, sum)) => *sum += rate,
+                None => self.change_rates.push((cell, rate)),
+            }
+        }
+        if self.change_rates.len() > known {
+            self.change_rates.sort_by_key(|(cell, _)| *cell);
+        }
+    }
+
+    /// Makes current cells away ones. Lists are sorted once for all cells: a moving robot changes most of a tile.
+    fn leave(&mut self, cells: Mask) {
+        if cells.is_empty() {
             return;
         }
-        let rate = size * 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64;
-        match self.change_rates.binary_search_by_key(&cell, |(cell, _)| *cell) {
-            Ok(at) => self.change_rates[at].1 += rate,
-            Err(at) => self.change_rates.insert(at, (cell, rate)),
-        }
-    }
-
-    fn leave(&mut self, cells: Mask) {
+        let scans = i64::try_from(self.scans).unwrap_or(i64::MAX);
+        let mut offsets = self.offsets.iter().peekable();
         for cell in cells.cells() {
-            let pairs = self.pairs_of_current(cell, self.scans);
-            if let Ok(at) = self.offsets.binary_search_by_key(&cell, |(cell, _)| *cell) {
-                self.offsets.remove(at);
-            }
-            if let Err(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
-                self.away.insert(at, Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
-            }
+            while offsets.next_if(|(other, _)| *other < cell).is_some() {}
+            let offset = offsets.next_if(|(other, _)| *other == cell).map_or(1, |(_, offset)| *offset);
+            let pairs = u64::try_from(scans - offset).unwrap_or(0);
+            self.away.push(Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
         }
+        self.away.sort_by_key(|away| away.cell);
+        self.offsets.retain(|(cell, _)| !cells.contains(*cell));
     }
 
-    fn enter(&mut self, cells: Mask, occupied: Mask, time: ScanTime, sensors: &Sensors) {
+    /// Makes cells current; `returned`: those of them that were away.
+    fn enter(&mut self, cells: Mask, returned: &[Away]) {
         let scans = i64::try_from(self.scans + 1).unwrap_or(i64::MAX);
+        let known = self.offsets.len();
+        let mut returned = returned.iter().peekable();
         for cell in cells.cells() {
-            let mut pairs = 0;
-            if let Ok(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
-                let away = self.away.remove(at);
-                pairs = away.pairs + 1;
-                let size = self.change(cell, away.sensor, time.sensor, occupied.contains(cell), sensors);
-                self.note_change(cell, size, away.last_nanos, time.utc_nanos);
-            }
+            let pairs = returned.next_if(|away| away.cell == cell).map_or(0, |away| away.pairs + 1);
             let offset = scans - i64::try_from(pairs).unwrap_or(i64::MAX);
-            if offset != 1
-                && let Err(at) = self.offsets.binary_search_by_key(&cell, |(cell, _)| *cell)
-            {
-                self.offsets.insert(at, (cell, offset));
+            if offset != 1 {
+                self.offsets.push((cell, offset));
             }
+        }
+        if self.offsets.len() > known {
+            self.offsets.sort_by_key(|(cell, _)| *cell);
         }
     }
 
@@ -265,4 +284,9 @@ impl LiveTile {
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.away.len() * 24 + (self.offsets.len() + self.change_rates.len()) * 16
     }
+}
+
+/// What a change of this size adds to the change rates of a cell; `None` if there is none.
+fn change_rate(size: f64, from_nanos: i64, to_nanos: i64) -> Option<f64> {
+    (size != 0.0).then(|| size * 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64)
 }
