@@ -12,11 +12,17 @@ use crate::InvalidParts;
 /// Gaps with a number of more bits are not kept.
 const NUMBER_BITS: usize = 32;
 
-/// The numbers below a power of two, and not below the one before, that are kept when they come; ascending.
-static KEPT_NUMBERS: [OnceLock<Vec<u64>>; NUMBER_BITS] = [const { OnceLock::new() }; NUMBER_BITS];
+/// A number that is kept when it comes, and all that are kept then, by hash.
+struct Step {
+    number: u64,
+    kept: Vec<u64>,
+}
+
+/// The steps of the numbers below a power of two, and not below the one before; ascending.
+static STEPS: [OnceLock<Vec<Step>>; NUMBER_BITS] = [const { OnceLock::new() }; NUMBER_BITS];
 
 /// A sample of the times between readings, in a fixed place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub struct GapSample {
     count: u64,
     /// Kept gaps in whole seconds, by the hash of their number; 0 where there are fewer.
@@ -29,18 +35,17 @@ impl GapSample {
         let first = self.count;
         let end = first.saturating_add(more);
         self.count = end;
-        let mut kept: Option<Vec<u64>> = None;
-        for bits in bits_of(first)..=bits_of(end.saturating_sub(1)).min(NUMBER_BITS - 1) {
-            for &number in kept_numbers(bits).iter().filter(|&&number| (first..end).contains(&number)) {
-                let kept = kept.get_or_insert_with(|| kept_before(first));
-                let place = kept.partition_point(|&other| hash(other) < hash(number));
-                kept.insert(place, number);
-                kept.truncate(KEPT);
-                if let Some(moved) = self.secs.get_mut(place..) {
-                    moved.rotate_right(1);
-                    moved[0] = whole_secs(nanos_of(number - first));
-                }
-            }
+        let (before, after) = (kept_before(first), kept_before(end));
+        if before == after {
+            return;
+        }
+        // Those that stay are in the same order.
+        let mut known = before.iter().zip(self.secs);
+        for (secs, &number) in self.secs.iter_mut().zip(after) {
+            *secs = match number.checked_sub(first) {
+                Some(place) => whole_secs(nanos_of(place)),
+                None => known.find(|(other, _)| **other == number).map_or(0, |(_, secs)| secs),
+            };
         }
     }
 
@@ -95,33 +100,31 @@ fn bits_of(number: u64) -> usize {
 }
 
 /// The numbers below `count` that are kept then, by hash.
-fn kept_before(count: u64) -> Vec<u64> {
-    let blocks = 0..bits_of(count.max(1)).saturating_add(1).min(NUMBER_BITS);
-    let below = |&&number: &&u64| number < count;
-    let mut kept: Vec<u64> = blocks.flat_map(|bits| kept_numbers(bits).iter().filter(below)).copied().collect();
-    kept.sort_unstable_by_key(|&number| hash(number));
-    kept.truncate(KEPT);
-    kept
+fn kept_before(count: u64) -> &'static [u64] {
+    let Some(last) = count.checked_sub(1) else { return &[] };
+    let blocks = 0..bits_of(last).saturating_add(1).min(NUMBER_BITS);
+    let newest = blocks.rev().find_map(|bits| {
+        let steps = steps(bits);
+        steps[..steps.partition_point(|step| step.number < count)].last()
+    });
+    newest.map_or(&[], |step| &step.kept)
 }
 
-/// The numbers with so many bits after the first that are kept when they come. Computed once.
-fn kept_numbers(bits: usize) -> &'static [u64] {
-    let Some(numbers) = KEPT_NUMBERS.get(bits) else { return &[] };
-    numbers.get_or_init(|| {
+/// The steps of the numbers with so many bits after the first. Computed once.
+fn steps(bits: usize) -> &'static [Step] {
+    let Some(steps) = STEPS.get(bits) else { return &[] };
+    steps.get_or_init(|| {
         let first = if bits == 0 { 0 } else { 1 << bits };
-        let lower = (0..bits).flat_map(|bits| kept_numbers(bits).iter());
-        let mut hashes: Vec<u64> = lower.map(|&number| hash(number)).collect();
-        hashes.sort_unstable();
-        hashes.truncate(KEPT);
-        let mut numbers = Vec::new();
+        let mut kept = kept_before(first).to_vec();
+        let mut steps = Vec::new();
         for number in first..2 << bits {
-            let hash = hash(number);
-            if hashes.len() < KEPT || hashes.last().is_some_and(|&highest| hash < highest) {
-                hashes.insert(hashes.partition_point(|&other| other < hash), hash);
-                hashes.truncate(KEPT);
-                numbers.push(number);
+            let hashed = hash(number);
+            if kept.len() < KEPT || kept.last().is_some_and(|&last| hashed < hash(last)) {
+                kept.insert(kept.partition_point(|&other| hash(other) < hashed), number);
+                kept.truncate(KEPT);
+                steps.push(Step { number, kept: kept.clone() });
             }
         }
-        numbers
+        steps
     })
 }
