@@ -29,6 +29,11 @@ impl ObservedTimes {
         self.by_hour.as_flattened_mut().iter_mut().for_each(|hours| *hours = (f64::from(*hours) * factor) as f32);
     }
 
+    /// What is equal of equal times, and differs else.
+    pub(crate) fn key(&self) -> (GapSample, u64, [[u32; 24]; 2]) {
+        (self.gaps, self.hours.to_bits(), self.by_hour.map(|hours| hours.map(f32::to_bits)))
+    }
+
     /// How well each hour of the day is known.
     pub(crate) fn hours_seen(&self) -> HoursSeen {
         HoursSeen::of_looks(&self.by_hour.map(|hours| hours.map(f64::from)))

@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_model::{PhasorSum, kind_and_hour};
+use tidemap_model::{GapSample, PhasorSum, kind_and_hour};
 
 use super::{
     super::{
@@ -135,6 +135,9 @@ type SumKey = ([usize; 3], usize, [u64; 2]);
 /// The address of a group's earlier times, the gain, the time of the last observation, and the factors as bits.
 type TimesKey = (usize, usize, i64, [u64; 2]);
 
+/// Times, by what they contain.
+type TimesContent = (GapSample, u64, [[u32; 24]; 2]);
+
 /// The sums that a day adds (gains), and the results, so that groups with the same history share theirs.
 #[derive(Debug, Default)]
 pub(super) struct Gains {
@@ -146,6 +149,9 @@ pub(super) struct Gains {
     /// Likewise for the times.
     shared_times: HashMap<TimesKey, (Arc<ObservedTimes>, Arc<ObservedTimes>)>,
     no_times: Arc<ObservedTimes>,
+    /// Times of groups that share no sum; equal ones are kept once. A robot that moves sees many cells so often, at
+    /// times of their own, but few at other intervals.
+    equal_times: HashMap<TimesContent, Arc<ObservedTimes>>,
 }
 
 impl Gains {
@@ -208,11 +214,14 @@ impl Gains {
         last_nanos: Option<i64>,
         factors: DayFactors,
     ) -> Arc<ObservedTimes> {
-        let observe = |before: &ObservedTimes| Arc::new(times.observe(*before, toggles, last_nanos, factors));
-        let Some(gain) = gain else { return observe(&before) };
+        let observe = |before: &ObservedTimes| times.observe(*before, toggles, last_nanos, factors);
+        let Some(gain) = gain else {
+            let after = observe(&before);
+            return Arc::clone(self.equal_times.entry(after.key()).or_insert_with(|| Arc::new(after)));
+        };
         let key = (Arc::as_ptr(&before) as usize, gain, last_nanos.unwrap_or(i64::MIN), factors.to_bits());
         let entry = self.shared_times.entry(key).or_insert_with(|| {
-            let after = observe(&before);
+            let after = Arc::new(observe(&before));
             (before, after)
         });
         Arc::clone(&entry.1)
