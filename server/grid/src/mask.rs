@@ -19,6 +19,14 @@ impl Mask {
     /// Every cell.
     pub const FULL: Mask = Mask([u64::MAX; 8]);
 
+    /// The set of one cell; a place beyond the tile is ignored.
+    #[inline]
+    pub fn of(cell: u16) -> Mask {
+        let mut mask = Mask::EMPTY;
+        mask.insert(cell);
+        mask
+    }
+
     /// Whether the cell is in the set; a place beyond the tile is not.
     #[inline]
     pub fn contains(&self, cell: u16) -> bool {

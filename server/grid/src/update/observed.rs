@@ -4,8 +4,6 @@
 //! Invariant: times are toggles: ascending numbers of scans, among those that saw the tile, at which a bit changes; the
 //! bit is clear before the first.
 
-use std::collections::BTreeMap;
-
 use super::super::{
     day::{Bit, DayTile},
     index::TILE_CELLS,
@@ -51,10 +49,9 @@ impl DayToggles {
         let mut compact = Compact { ranges, before: 0 };
         let (mut observed, mut occupied) = (tile.first.observed(), tile.first.occupied());
         let (mut ever_occupied, mut ever_free) = (occupied, observed.without(occupied));
-        let start = |bits: Mask| bits.cells().map(|cell| (cell, vec![0])).collect::<BTreeMap<u16, Vec<u32>>>();
-        let mut occupied_toggles = start(occupied);
+        let mut occupied_toggles = CellToggles::starting_with(occupied);
         // Only of cells whose observed bit flips within the day.
-        let mut observed_toggles: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+        let mut observed_toggles = CellToggles::starting_with(Mask::EMPTY);
         for of_scan in tile.flips.chunk_by(|one, other| one.scan == other.scan) {
             let Some(first) = of_scan.first() else { continue };
             let number = compact.number(first.scan);
@@ -62,13 +59,11 @@ impl DayToggles {
                 let cell = flip.cell();
                 match flip.bit() {
                     Bit::Observed => {
-                        let was_observed = observed.contains(cell);
-                        let from_start = || if was_observed { vec![0] } else { Vec::new() };
-                        observed_toggles.entry(cell).or_insert_with(from_start).push(number);
+                        observed_toggles.push(cell, number, observed.contains(cell));
                         observed.flip(cell);
                     }
                     Bit::Occupied => {
-                        occupied_toggles.entry(cell).or_default().push(number);
+                        occupied_toggles.push(cell, number, false);
                         occupied.flip(cell);
                     }
                 }
@@ -76,23 +71,55 @@ impl DayToggles {
             ever_occupied |= occupied;
             ever_free |= observed.without(occupied);
         }
-        let mut alike: BTreeMap<Vec<u32>, Mask> = BTreeMap::new();
-        let mut steady = tile.first.observed();
-        for (cell, toggles) in observed_toggles {
-            if steady.contains(cell) {
-                steady.flip(cell);
-            }
-            alike.entry(toggles).or_default().insert(cell);
-        }
+        let steady = tile.first.observed().without(observed_toggles.cells);
+        let mut alike: Vec<(Vec<u32>, Mask)> =
+            observed_toggles.into_cells().map(|(cell, toggles)| (toggles, Mask::of(cell))).collect();
         if !steady.is_empty() {
-            *alike.entry(vec![0]).or_default() |= steady;
+            alike.push((vec![0], steady));
         }
-        DayToggles {
-            observed: alike.into_iter().collect(),
-            ever_occupied,
-            ever_free,
-            occupied: occupied_toggles.into_iter().collect(),
+        alike.sort_unstable_by(|(one, _), (other, _)| one.cmp(other));
+        alike.dedup_by(|(toggles, cells), (kept, all)| {
+            let is_alike = toggles == kept;
+            if is_alike {
+                *all |= *cells;
+            }
+            is_alike
+        });
+        DayToggles { observed: alike, ever_occupied, ever_free, occupied: occupied_toggles.into_cells().collect() }
+    }
+}
+
+/// The toggles of a bit by cell.
+struct CellToggles {
+    of_cells: Vec<Vec<u32>>,
+    /// The cells that have any.
+    cells: Mask,
+}
+
+impl CellToggles {
+    /// The bit is set in the first scan for these cells.
+    fn starting_with(cells: Mask) -> CellToggles {
+        let mut of_cells = vec![Vec::new(); TILE_CELLS];
+        for cell in cells.cells() {
+            of_cells[usize::from(cell)] = vec![0];
         }
+        CellToggles { of_cells, cells }
+    }
+
+    /// Adds a toggle of a cell. `was_set`: whether the bit was set before, should it be the cell's first.
+    fn push(&mut self, cell: u16, number: u32, was_set: bool) {
+        let Some(toggles) = self.of_cells.get_mut(usize::from(cell)) else { return };
+        if toggles.is_empty() && was_set {
+            toggles.push(0);
+        }
+        toggles.push(number);
+        self.cells.insert(cell);
+    }
+
+    /// The cells that have any, ascending, with their toggles.
+    fn into_cells(self) -> impl Iterator<Item = (u16, Vec<u32>)> {
+        let cells = self.cells;
+        (0..).zip(self.of_cells).filter(move |(cell, _)| cells.contains(*cell))
     }
 }
 
