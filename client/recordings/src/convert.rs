@@ -302,7 +302,7 @@ impl Converter {
                 let pose = self.sensor_pose(&frame, stamp)?;
                 let finite = cloud.points().filter(|point| point.iter().all(|along| along.is_finite()));
                 let (points_m, points_before) = match self.options.merge {
-                    Some(cell) => merged::points(finite, &pose, cell),
+                    Some(cell) => merged::points(finite, cloud.len(), &pose, cell),
                     None => {
                         let points: Vec<[f32; 3]> = finite.map(|point| point.map(|along| along as f32)).collect();
                         let count = points.len();

@@ -317,9 +317,23 @@ fn between(before: &PoseSample, after: &PoseSample, time_nanos: i64) -> Isometry
     let (from, to) = (before.pose.translation.vector, after.pose.translation.vector);
     let translation: Vector3<f64> = from + (to - from) * share;
     let (start, end) = (before.pose.rotation, after.pose.rotation);
-    // Opposite rotations have no shorter arc.
-    let rotation = start.try_slerp(&end, share, 1e-12).unwrap_or(if share < 0.5 { start } else { end });
-    Isometry3::from_parts(translation.into(), rotation)
+    Isometry3::from_parts(translation.into(), between_rotations(start, end, share))
+}
+
+/// The rotation at a share of the shorter arc from one to another. With the functions of a library, not of the system:
+/// a recording must make the same observations on each, to be sent again.
+fn between_rotations(start: UnitQuaternion<f64>, end: UnitQuaternion<f64>, share: f64) -> UnitQuaternion<f64> {
+    let cos = start.coords.dot(&end.coords);
+    // A quaternion and its negative are the same rotation.
+    let (cos, end) = if cos < 0.0 { (-cos, -end.coords) } else { (cos, end.coords) };
+    let angle = libm::acos(cos.min(1.0));
+    let sin = libm::sin(angle);
+    if sin < 1e-9 {
+        return if share < 0.5 { start } else { UnitQuaternion::new_unchecked(Quaternion::from(end)) };
+    }
+    let part = |share: f64| libm::sin(share * angle) / sin;
+    let coords = start.coords * part(1.0 - share) + end * part(share);
+    UnitQuaternion::new_normalize(Quaternion::from(coords))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::{
     hash::{BuildHasherDefault, Hasher},
 };
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 /// The cells of a grid, for merging points.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,23 +39,34 @@ impl Hasher for CellHasher {
     }
 }
 
-/// The first point of each cell, and how many points there were.
+/// The largest whole number up to this one. `f64::floor` calls a function where the processor's instruction may be
+/// missing.
+fn floor(value: f64) -> i64 {
+    let whole = value as i64;
+    whole - i64::from(whole as f64 > value)
+}
+
+/// The first point of each cell, and how many points there were, which are at most `points_max`.
 pub(super) fn points(
     points: impl Iterator<Item = [f64; 3]>,
+    points_max: usize,
     pose: &Isometry3<f64>,
     cells: CellSize,
 ) -> (Vec<[f32; 3]>, usize) {
-    let mut seen: HashSet<u64, BuildHasherDefault<CellHasher>> = HashSet::default();
-    let mut taken = Vec::new();
+    let mut seen: HashSet<u64, BuildHasherDefault<CellHasher>> =
+        HashSet::with_capacity_and_hasher(points_max, BuildHasherDefault::default());
+    let mut taken = Vec::with_capacity(points_max);
     let mut count = 0;
+    let rotation = pose.rotation.to_rotation_matrix();
+    let corner = Vector3::from(cells.origin_m) - pose.translation.vector;
     for point in points {
         count += 1;
-        let placed = pose.transform_point(&point.into());
+        let placed = rotation * Vector3::from(point) - corner;
         let mut key = 0_u64;
         for axis in 0..3 {
-            let cell = ((placed[axis] - cells.origin_m[axis]) / cells.resolution_m).floor();
+            let cell = floor(placed[axis] / cells.resolution_m);
             // 21 bits an axis: cells further apart than a million are far outside of any cloud.
-            key = key << 21 | (cell as i64).cast_unsigned() & 0x1F_FFFF;
+            key = key << 21 | cell.cast_unsigned() & 0x1F_FFFF;
         }
         if seen.insert(key) {
             taken.push(point.map(|along| along as f32));

@@ -3,10 +3,7 @@
 //! Invariant: every point of a cloud lies within its bytes.
 
 use super::{Fields, KnownError};
-use crate::{
-    definition::Primitive,
-    message::{Numbers, Value},
-};
+use crate::{definition::Primitive, message::Value};
 
 /// Maximum number of points of a cloud.
 const POINTS_MAX: usize = 2_000_000;
@@ -94,11 +91,15 @@ impl<'a> Cloud<'a> {
         })
     }
 
+    /// A number of the cloud; an axis has one of these two types.
     fn number(&self, start: usize, primitive: Primitive) -> f64 {
-        let size = primitive.bytes().unwrap_or(8);
-        let numbers = |bytes| Numbers { primitive, bytes, is_big_endian: self.is_big_endian };
-        let value = self.bytes.get(start..start + size).and_then(|bytes| numbers(bytes).get(0));
-        value.and_then(|value| value.number()).unwrap_or(f64::NAN)
+        let bytes = self.bytes.get(start..).unwrap_or_default();
+        if primitive == Primitive::Float32 {
+            let read = if self.is_big_endian { f32::from_be_bytes } else { f32::from_le_bytes };
+            return bytes.first_chunk().map_or(f64::NAN, |bytes| f64::from(read(*bytes)));
+        }
+        let read = if self.is_big_endian { f64::from_be_bytes } else { f64::from_le_bytes };
+        bytes.first_chunk().map_or(f64::NAN, |bytes| read(*bytes))
     }
 }
 
