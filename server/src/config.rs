@@ -242,7 +242,7 @@ settings! {
         /// Changes of the grid of a map that wait for the nightly update: scans, and cells that differ from the scan
         /// before. Above this an update runs early; above twice this, streams wait. A change takes 8 to 16 bytes of
         /// memory.
-        max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
+        max_pending_changes: u64 = 16_000_000, 1000, 1 << 32;
         /// Update each map at its local midnight. Without it, a map is updated on request (tidemap update), at the
         /// midnights of imported data, and when too much is pending.
         update_at_midnight: bool = true;
