@@ -38,12 +38,12 @@ use crate::{
 };
 
 mod import;
-mod refusal;
+mod upload_error;
 mod workplace;
 
 use import::{Import, Origin};
-use refusal::Refusal;
-use workplace::{Workplace, file_name, free_bytes};
+use upload_error::UploadError;
+use workplace::{Workplace, check_room, file_name};
 
 /// The path of a recording.
 pub(super) const PATH: &str = "/api/v1/maps/{name}/recordings/{file}";
@@ -129,50 +129,47 @@ struct Upload {
 
 impl Inner {
     /// Whether a file of so many bytes is taken from the sender of this request.
-    async fn admit(&self, (name, file): (String, String), head: &Parts, bytes: u64) -> Result<Upload, Refusal> {
+    async fn admit(&self, (name, file): (String, String), head: &Parts, bytes: u64) -> Result<Upload, UploadError> {
         let given = Given::of(head.uri.query(), PARAMETERS)?;
         let admitted = self.guarded.admit(OBSERVE, &head.headers, &head.extensions)?;
         if self.max_bytes == 0 {
-            return Err(Refusal::Off);
+            return Err(UploadError::Off);
         }
         let map = MapName::new(&name)?;
         let file = file_name(&file)?;
-        // The same for each file of this name, so that one that is sent again is recognised.
+        // Files of one name have one label, so that a file that is sent again is recognised.
         let key = ProducerKey::new(given.get("producer").unwrap_or(PRODUCER), &format!("upload/{file}"))?;
         admitted.caller().clone().scope(async { check_sender(map.as_str(), key.producer()) }).await?;
         let map_exists = self.map_exists(&map, head).await?;
         let program = program()?;
         if bytes > self.max_bytes {
-            return Err(Refusal::TooLarge { max: self.max_bytes });
+            return Err(UploadError::TooLarge { max: self.max_bytes });
         }
-        let turn = Arc::clone(&self.turn).try_acquire_owned().map_err(|_| Refusal::Busy)?;
-        let free = free_bytes(&self.folder);
-        if free < bytes.saturating_add(workplace::FREE_BYTES_KEPT) {
-            return Err(Refusal::NoRoom { free });
-        }
+        let turn = Arc::clone(&self.turn).try_acquire_owned().map_err(|_| UploadError::Busy)?;
+        check_room(&self.folder, bytes)?;
         Ok(Upload { program, map, map_exists, file, key, turn, admitted })
     }
 
     /// Whether the map exists; if it does not, its sender has to be somebody who may create it.
-    async fn map_exists(&self, map: &MapName, head: &Parts) -> Result<bool, Refusal> {
+    async fn map_exists(&self, map: &MapName, head: &Parts) -> Result<bool, UploadError> {
         let question = GetMapRequest { name: map.as_str().to_owned() };
         let question = Caller::of_head(&head.headers, &head.extensions).request(question);
         match MapServiceClient::new(self.guarded.clone()).get_map(question).await {
             Ok(_) => Ok(true),
             Err(status) if status.code() == Code::NotFound => {
                 let may_create = self.guarded.admit(CREATE_MAP, &head.headers, &head.extensions);
-                may_create.map(|_| false).map_err(|error| Refusal::NotCreated { map: map.clone(), error })
+                may_create.map(|_| false).map_err(|error| UploadError::NotCreated { map: map.clone(), error })
             }
-            Err(status) => Err(Refusal::Status(status)),
+            Err(status) => Err(UploadError::Status(status)),
         }
     }
 }
 
 /// The program that reads recordings.
-fn program() -> Result<PathBuf, Refusal> {
-    let own = std::env::current_exe().map_err(|_| Refusal::NoProgram(PROGRAM.into()))?;
+fn program() -> Result<PathBuf, UploadError> {
+    let own = std::env::current_exe().map_err(|_| UploadError::NoProgram(PROGRAM.into()))?;
     let program = own.with_file_name(PROGRAM);
-    if program.is_file() { Ok(program) } else { Err(Refusal::NoProgram(program)) }
+    if program.is_file() { Ok(program) } else { Err(UploadError::NoProgram(program)) }
 }
 
 /// Says whether a file would be taken, so that nobody sends gigabytes that are refused.
@@ -183,7 +180,7 @@ async fn look(State(recordings): State<Recordings>, Path(names): Path<(String, S
         let bytes = match given.get("bytes").map(str::parse) {
             None => 0,
             Some(Ok(bytes)) => bytes,
-            Some(Err(_)) => return Err(Refusal::Bytes),
+            Some(Err(_)) => return Err(UploadError::Bytes),
         };
         recordings.0.admit(names, &head, bytes).await
     };
@@ -220,11 +217,11 @@ async fn upload(
     }
 }
 
-async fn import(inner: &Inner, names: (String, String), request: Request) -> Result<Body, Refusal> {
+async fn import(inner: &Inner, names: (String, String), request: Request) -> Result<Body, UploadError> {
     // No form of a page can send this type, so a page of another origin has to ask first.
     let (head, body) = request.into_parts();
     if !is_bytes(&head.headers) {
-        return Err(Refusal::MediaType);
+        return Err(UploadError::MediaType);
     }
     let bytes = http_body::Body::size_hint(&body).lower();
     let upload = inner.admit(names, &head, bytes).await?;
@@ -233,7 +230,7 @@ async fn import(inner: &Inner, names: (String, String), request: Request) -> Res
     let mut stopping = inner.stopping.clone();
     let received = tokio::select! {
         received = place.receive(body, inner.max_bytes) => received,
-        _ = stopping.wait_for(|stopping| *stopping) => Err(Refusal::Stopping),
+        _ = stopping.wait_for(|stopping| *stopping) => Err(UploadError::Stopping),
     };
     if let Err(refusal) = received {
         place.clear().await;

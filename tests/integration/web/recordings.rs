@@ -62,7 +62,7 @@ fn look(daemon: &Daemon, path: &str, headers: &[(&str, &str)]) -> Answer {
 
 /// The lines of an import, as one text, and its exit status.
 #[track_caller]
-fn told(answer: &Answer) -> (String, i64) {
+fn imported(answer: &Answer) -> (String, i64) {
     assert_eq!(answer.code, 200, "{}", answer.text());
     assert_eq!(answer.headers["content-type"], "application/x-ndjson");
     let objects: Vec<Value> =
@@ -105,19 +105,19 @@ fn a_recording_is_imported_once_and_its_file_is_gone() {
     let (data, daemon) = started();
     let looked = look(&daemon, "flat/recordings/door.bag?bytes=1000", &[]);
     assert_eq!((looked.code, &looked.json()["mapExists"]), (200, &json!(false)), "{}", looked.text());
-    let (said, exit) = told(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
     assert_eq!(exit, 0, "{said}");
     assert!(said.contains("map \"flat\" is created") && said.contains("state kitchen-door"), "{said}");
     assert_eq!(observations(&daemon, "flat", &[]), 40);
     assert!(is_empty(data.path()), "before the end is told");
     assert_eq!(look(&daemon, "flat/recordings/door.bag", &[]).json()["mapExists"], json!(true));
 
-    let (said, exit) = told(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 40), "{said}");
-    let (said, exit) = told(&send(&daemon, "flat/recordings/door.bag", &[], &door_that_begins(false, 40)));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door_that_begins(false, 40)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (1, 40), "{said}");
     assert!(said.contains("door.bag differs from what upload sent as upload/door.bag"), "{said}");
-    let (said, exit) = told(&send(&daemon, "flat/recordings/door.bag?producer=robot-7", &[], &door(10)));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag?producer=robot-7", &[], &door(10)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 50), "{said}");
     assert!(is_empty(data.path()));
     daemon.stop_in_order();
@@ -126,11 +126,11 @@ fn a_recording_is_imported_once_and_its_file_is_gone() {
 #[test]
 fn what_is_no_recording_is_told_and_makes_no_map() {
     let (data, daemon) = started();
-    let (said, exit) = told(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
     assert_eq!(exit, 1, "{said}");
     assert!(said.contains("noise.bag: this is no recording") && !said.contains(data.path().to_str().expect("text")));
     let cut = &door(40)[..3000];
-    let (said, exit) = told(&send(&daemon, "flat/recordings/cut.bag", &[], cut));
+    let (said, exit) = imported(&send(&daemon, "flat/recordings/cut.bag", &[], cut));
     assert_eq!(exit, 1, "{said}");
     assert_eq!(call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "flat" })).code, 404);
     refused(&send(&daemon, "flat/recordings/none.bag", &[], b""), 400, "EMPTY", &["no bytes"]);
@@ -148,7 +148,7 @@ fn what_is_no_recording_is_told_and_makes_no_map() {
     refused(&send(&daemon, "flat/recordings/a.bag", &evil, b"a"), 403, "FOREIGN_REQUEST", &[]);
     assert!(is_empty(data.path()));
     // A name with folders is that of its last part.
-    let (_, exit) = told(&send(&daemon, "flat/recordings/..%2f..%2f-door.bag", &[], &door(4)));
+    let (_, exit) = imported(&send(&daemon, "flat/recordings/..%2f..%2f-door.bag", &[], &door(4)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 4));
     assert!(!data.path().join("-door.bag").exists());
     daemon.stop_in_order();
@@ -197,12 +197,12 @@ fn a_token_imports_into_its_maps_as_its_producers() {
     refused(&as_one(path, &planner), 403, "NEEDS_ROLE", &["observer"]);
     refused(&as_one(path, &observer), 403, "NEEDS_ROLE", &["map flat does not exist", "admin"]);
     refused(&as_one("other/recordings/door.bag", &admin), 403, "NOT_FOR_MAP", &["other"]);
-    let (said, exit) = told(&as_one(path, &admin));
+    let (said, exit) = imported(&as_one(path, &admin));
     assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 12), "{said}");
-    let (said, exit) = told(&as_one("flat/recordings/again.bag", &observer));
+    let (said, exit) = imported(&as_one("flat/recordings/again.bag", &observer));
     assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 24), "{said}");
     refused(&as_one(path, &robot), 403, "NOT_FOR_PRODUCER", &["upload"]);
-    let (said, exit) = told(&as_one("flat/recordings/door.bag?producer=robot-7", &robot));
+    let (said, exit) = imported(&as_one("flat/recordings/door.bag?producer=robot-7", &robot));
     assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 36), "{said}");
     assert!(is_empty(&data));
     let log = daemon.stop_in_order();
@@ -238,7 +238,7 @@ fn a_file_beyond_the_limit_is_refused_and_0_takes_none() {
     refused(&send(&daemon, path, &[], &bag), 501, "UPLOADS_OFF", &["max_upload_bytes", "tidemap import"]);
     daemon.stop_in_order();
     let daemon = at_most(bag.len());
-    assert_eq!(told(&send(&daemon, path, &[], &bag)).1, 0);
+    assert_eq!(imported(&send(&daemon, path, &[], &bag)).1, 0);
     daemon.stop_in_order();
 }
 
@@ -268,7 +268,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     }
     drop(first);
     eventually("the file is gone", || is_empty(data.path()));
-    assert_eq!(told(&send(&daemon, path, &[], &door(4))).1, 0);
+    assert_eq!(imported(&send(&daemon, path, &[], &door(4))).1, 0);
 
     // Who leaves while the import runs stops it; the same file again goes on.
     let large = door(60_000);
@@ -285,7 +285,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     drop(answer);
     eventually("the file is gone", || is_empty(data.path()));
     eventually("it is told", || daemon.process().stderr().contains("the import of a recording was stopped"));
-    let (said, exit) = told(&send(&daemon, "large/recordings/door.bag", &[], &large));
+    let (said, exit) = imported(&send(&daemon, "large/recordings/door.bag", &[], &large));
     assert_eq!((exit, observations(&daemon, "large", &[])), (0, 60_000), "{said}");
     daemon.stop_in_order();
 }

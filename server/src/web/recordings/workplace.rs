@@ -15,10 +15,10 @@ use rustix::fs::statvfs;
 use tokio::{io::AsyncWriteExt as _, sync::OwnedSemaphorePermit};
 use tracing::warn;
 
-use super::refusal::Refusal;
+use super::upload_error::UploadError;
 
 /// Free bytes of the disk that files do not take.
-pub(super) const FREE_BYTES_KEPT: u64 = 1 << 30;
+const FREE_BYTES_KEPT: u64 = 1 << 30;
 /// Bytes that arrive between two looks at the disk.
 const LOOK_EVERY_BYTES: u64 = 64 << 20;
 /// More of a file has to arrive within this time.
@@ -29,22 +29,34 @@ const NAME_BYTES_MAX: usize = 120;
 const RECORDING: &str = "recording";
 
 /// The name of a file as its sender gave it, without folders.
-pub(super) fn file_name(given: &str) -> Result<String, Refusal> {
+pub(super) fn file_name(given: &str) -> Result<String, UploadError> {
     let name = given.rsplit(['/', '\\']).next().unwrap_or_default().trim();
     let is_name = !name.chars().all(|character| character == '.') && !name.chars().any(char::is_control);
     if !is_name {
-        return Err(Refusal::FileName(given.chars().take(NAME_BYTES_MAX).collect()));
+        return Err(UploadError::FileName(given.chars().take(NAME_BYTES_MAX).collect()));
     }
     if name.len() > NAME_BYTES_MAX {
-        return Err(Refusal::LongName { bytes: name.len(), max: NAME_BYTES_MAX });
+        return Err(UploadError::LongName { bytes: name.len(), max: NAME_BYTES_MAX });
     }
     Ok(name.to_owned())
 }
 
 /// Free bytes of the disk that holds a folder, or will; what the system does not tell bounds nothing.
-pub(super) fn free_bytes(folder: &Path) -> u64 {
+fn free_bytes(folder: &Path) -> u64 {
     let disk = statvfs(folder).or_else(|_| statvfs(folder.parent().unwrap_or(folder)));
     disk.map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+/// Checks that the disk of a folder has room for so many bytes.
+///
+/// # Errors
+/// It has not.
+pub(super) fn check_room(folder: &Path, bytes: u64) -> Result<(), UploadError> {
+    let free = free_bytes(folder);
+    if free < bytes.saturating_add(FREE_BYTES_KEPT) {
+        return Err(UploadError::NoRoom { free, kept: FREE_BYTES_KEPT });
+    }
+    Ok(())
 }
 
 /// Removes a folder with all that is in it.
@@ -107,34 +119,31 @@ impl Workplace {
     ///
     /// # Errors
     /// It is too large or empty, does not arrive, or the disk has no room.
-    pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<(), Refusal> {
+    pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<(), UploadError> {
         let mut file = tokio::fs::File::create_new(self.recording_folder().join(&self.file)).await?;
         let (mut received, mut looked_at) = (0_u64, 0);
         loop {
-            let late = |_| Refusal::Late { secs: ARRIVES_WITHIN.as_secs() };
+            let late = |_| UploadError::Late { secs: ARRIVES_WITHIN.as_secs() };
             let Some(frame) = tokio::time::timeout(ARRIVES_WITHIN, body.frame()).await.map_err(late)? else { break };
-            let Ok(data) = frame.map_err(|_| Refusal::Broken)?.into_data() else { continue };
+            let Ok(data) = frame.map_err(|_| UploadError::Broken)?.into_data() else { continue };
             received += data.len() as u64;
             if received > max_bytes {
-                return Err(Refusal::TooLarge { max: max_bytes });
+                return Err(UploadError::TooLarge { max: max_bytes });
             }
             if received - looked_at >= LOOK_EVERY_BYTES {
                 looked_at = received;
-                let free = free_bytes(&self.folder);
-                if free < FREE_BYTES_KEPT {
-                    return Err(Refusal::NoRoom { free });
-                }
+                check_room(&self.folder, 0)?;
             }
             self.written(file.write_all(&data).await)?;
         }
         self.written(file.flush().await)?;
-        if received == 0 { Err(Refusal::Empty) } else { Ok(()) }
+        if received == 0 { Err(UploadError::Empty) } else { Ok(()) }
     }
 
-    fn written(&self, done: io::Result<()>) -> Result<(), Refusal> {
+    fn written(&self, done: io::Result<()>) -> Result<(), UploadError> {
         match done {
             Err(error) if error.kind() == io::ErrorKind::StorageFull => {
-                Err(Refusal::NoRoom { free: free_bytes(&self.folder) })
+                Err(UploadError::NoRoom { free: free_bytes(&self.folder), kept: FREE_BYTES_KEPT })
             }
             done => Ok(done?),
         }
@@ -184,9 +193,9 @@ mod tests {
             assert_eq!(file_name(given).expect(given), name);
         }
         for given in ["", ".", "..", "...", "a/", "a/..", "\\", "a\nb", "a\0b", " "] {
-            assert!(matches!(file_name(given), Err(Refusal::FileName(_))), "{given:?}");
+            assert!(matches!(file_name(given), Err(UploadError::FileName(_))), "{given:?}");
         }
-        assert!(matches!(file_name(&"ü".repeat(61)), Err(Refusal::LongName { bytes: 122, .. })));
+        assert!(matches!(file_name(&"ü".repeat(61)), Err(UploadError::LongName { bytes: 122, .. })));
     }
 
     #[tokio::test]
@@ -205,6 +214,6 @@ mod tests {
         let turn = std::sync::Arc::clone(&turns).acquire_owned().await.expect("a turn");
         assert!(!folder.exists());
         let place = Workplace::make(folder.clone(), "a.bag", turn).await.expect("a place");
-        assert!(matches!(place.receive(Body::from("bytes!"), 5).await, Err(Refusal::TooLarge { max: 5 })));
+        assert!(matches!(place.receive(Body::from("bytes!"), 5).await, Err(UploadError::TooLarge { max: 5 })));
     }
 }

@@ -8,15 +8,12 @@ use axum::{http::StatusCode, response::Response};
 use tidemap_map::name::{InvalidName, MapName};
 use tonic::Status;
 
-use super::{
-    super::{json, links::Failure},
-    workplace::FREE_BYTES_KEPT,
-};
+use super::super::{json, links::Failure};
 use crate::rpc::status::RpcError;
 
 /// Why a recording is not taken.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Refusal {
+pub(super) enum UploadError {
     #[error(transparent)]
     Rpc(#[from] RpcError),
     #[error("{}", .0.message())]
@@ -52,10 +49,10 @@ pub(super) enum Refusal {
     #[error("the file has no bytes")]
     Empty,
     #[error(
-        "there is no room for the file: the disk of the data folder has {free} bytes left, of which {FREE_BYTES_KEPT} \
-         are kept for maps. Use tidemap import, which needs no copy"
+        "there is no room for the file: the disk of the data folder has {free} bytes left, of which {kept} are \
+         kept for maps. Use tidemap import, which needs no copy"
     )]
-    NoRoom { free: u64 },
+    NoRoom { free: u64, kept: u64 },
     #[error("nothing more of the file arrived for {secs} seconds: send it again")]
     Late { secs: u64 },
     #[error("the file broke off: send it again")]
@@ -66,13 +63,13 @@ pub(super) enum Refusal {
     Disk(#[from] io::Error),
 }
 
-impl From<Failure> for Refusal {
+impl From<Failure> for UploadError {
     fn from(failure: Failure) -> Self {
         Self::Parameters(failure)
     }
 }
 
-impl Refusal {
+impl UploadError {
     /// The answer.
     pub(super) fn response(self) -> Response {
         let text = self.to_string();
