@@ -158,9 +158,11 @@ impl Inner {
             Ok(_) => Ok(true),
             Err(status) if status.code() == Code::NotFound => {
                 let may_create = self.guarded.admit(CREATE_MAP, &head.headers, &head.extensions);
-                may_create.map(|_| false).map_err(|error| UploadError::NotCreated { map: map.clone(), error })
+                may_create
+                    .map(|_| false)
+                    .map_err(|error| UploadError::NotCreated { map: map.clone(), error: Box::new(error) })
             }
-            Err(status) => Err(UploadError::Status(status)),
+            Err(status) => Err(UploadError::Status(Box::new(status))),
         }
     }
 }

@@ -14,16 +14,16 @@ use crate::rpc::status::RpcError;
 /// Why a recording is not taken.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UploadError {
-    #[error(transparent)]
-    Rpc(#[from] RpcError),
+    #[error("{0}")]
+    Rpc(Box<RpcError>),
     #[error("{}", .0.message())]
-    Status(Status),
+    Status(Box<Status>),
     #[error("the parameters of the address are wrong")]
-    Parameters(Failure),
+    Parameters(Box<Failure>),
     #[error("parameter bytes is the size of the file, a number of bytes")]
     Bytes,
     #[error("map {map} does not exist, and is not created for this sender: {error}")]
-    NotCreated { map: MapName, error: RpcError },
+    NotCreated { map: MapName, error: Box<RpcError> },
     #[error("this daemon takes no recordings over HTTP (setting max_upload_bytes is 0): use tidemap import")]
     Off,
     #[error(
@@ -63,9 +63,15 @@ pub(super) enum UploadError {
     Disk(#[from] io::Error),
 }
 
+impl From<RpcError> for UploadError {
+    fn from(error: RpcError) -> Self {
+        Self::Rpc(Box::new(error))
+    }
+}
+
 impl From<Failure> for UploadError {
     fn from(failure: Failure) -> Self {
-        Self::Parameters(failure)
+        Self::Parameters(Box::new(failure))
     }
 }
 
@@ -74,7 +80,7 @@ impl UploadError {
     pub(super) fn response(self) -> Response {
         let text = self.to_string();
         let (http, code, reason) = match self {
-            Self::Rpc(error) => return json::status_reply(&error.into()),
+            Self::Rpc(error) => return json::status_reply(&(*error).into()),
             Self::Status(status) => return json::status_reply(&status),
             Self::Parameters(failure) => return failure.response(),
             Self::NotCreated { .. } => (StatusCode::FORBIDDEN, "PERMISSION_DENIED", "NEEDS_ROLE"),
