@@ -256,6 +256,9 @@ settings! {
         /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
         /// models of the previous generation.
         max_watches: usize = 64, 1, 100_000;
+        /// Size of one recording that is sent to the HTTP port, to be imported, in bytes; 0: none is taken. It lies in
+        /// the data folder until it is imported.
+        max_upload_bytes: u64 = 4 << 30, 0, 1 << 44;
         /// Grid cells of one plan of exploration. A cell takes about 20 bytes while the plan is made.
         max_plan_cells: u64 = 1 << 24, 1, 1 << 32;
         /// Work of views in one request: viewpoints x times x cells that the rays of one view pass (about 400,000 for a

@@ -49,6 +49,8 @@ pub(crate) enum Port {
     /// Those of the HTTP port beyond its limits, which may ask whether the daemon lives. They last
     /// [`REQUEST_WITHIN`] at most, and each may make room for the next.
     Probes,
+    /// Those of the programs that import recordings.
+    Imports,
 }
 
 impl Port {
@@ -58,6 +60,7 @@ impl Port {
             Self::Grpc => "grpc",
             Self::Http => "http",
             Self::Probes => "probes",
+            Self::Imports => "imports",
         }
     }
 }
@@ -251,7 +254,7 @@ impl Connections {
     fn displace(&self, open: &Open, peer: Option<Peer>, now: Instant) -> bool {
         let rank = |seat: &Seat| match self.port {
             Port::Probes => Some((true, now.saturating_duration_since(seat.opened))),
-            Port::Grpc | Port::Http => seat.rank(self.limits.idle_after, now),
+            Port::Grpc | Port::Http | Port::Imports => seat.rank(self.limits.idle_after, now),
         };
         let candidates = open.seats.values().filter(|seat| peer.is_none_or(|peer| seat.peer == peer));
         let ranked = candidates

@@ -9,6 +9,7 @@ pub(crate) mod exploration;
 pub(crate) mod forks;
 pub(crate) mod gateway;
 pub(crate) mod guard;
+pub(crate) mod lookup;
 pub(crate) mod maintenance;
 pub(crate) mod map;
 pub(crate) mod observation;
@@ -19,7 +20,6 @@ pub(crate) mod status;
 pub(crate) mod tasks;
 
 mod acks;
-mod lookup;
 mod peer;
 mod permits;
 mod readings;

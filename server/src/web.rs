@@ -1,5 +1,5 @@
 //! What browsers and scripts find on the HTTP port: gRPC-Web, the same RPCs as JSON, pictures and
-//! documents to link to, and the page.
+//! documents to link to, imports of recordings, and the page.
 //!
 //! Invariant: a request reaches the RPCs by the same guard, admission and bounds as on the gRPC port. Requests of pages
 //! of other origins are refused. Without tokens the port is for reading, unless the operator says `http_write`.
@@ -32,9 +32,11 @@ mod json;
 mod links;
 mod openapi;
 mod origin;
+mod recordings;
 
 pub(crate) use assets::has_page;
 pub(crate) use origin::{KnownHosts, is_own};
+pub(crate) use recordings::Recordings;
 
 /// The RPC that answers with grids. Its replies are the only ones that browsers take compressed: a fifth of them
 /// remains. Others are small, or streams of which every message must leave at once.
@@ -54,7 +56,12 @@ struct Gateway {
 ///
 /// # Errors
 /// The descriptors of the wire cannot be read, which is a defect of the build.
-pub(crate) fn router(services: &GuardedServices, queries: GuardedQueries, hosts: KnownHosts) -> anyhow::Result<Router> {
+pub(crate) fn router(
+    services: &GuardedServices,
+    queries: GuardedQueries,
+    recordings: Recordings,
+    hosts: KnownHosts,
+) -> anyhow::Result<Router> {
     let pool = DescriptorPool::decode(DESCRIPTORS)?;
     let openapi = openapi::document(&pool);
     let grpc_web = GrpcWebLayer::new().layer(services.clone());
@@ -80,6 +87,7 @@ pub(crate) fn router(services: &GuardedServices, queries: GuardedQueries, hosts:
     let gateway = Gateway { services: services.clone(), queries, pool, large };
     Ok(router
         .with_state(gateway)
+        .merge(recordings::router(recordings))
         .layer(from_fn(name_remote))
         .merge(assets::router())
         .layer(from_fn_with_state(hosts, origin::check)))

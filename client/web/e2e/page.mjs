@@ -6,11 +6,11 @@
 // written into FOLDER.
 
 import assert from 'node:assert/strict';
-import { readFileSync, writeFileSync } from 'node:fs';
+import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 
-import { Daemon, launch, open, pixels, slideTo } from './stage.mjs';
-import { lookAtViews } from './views.mjs';
+import { Daemon, dropped, launch, open, pixels, slideTo } from './stage.mjs';
+import { lookAtViews, violations } from './views.mjs';
 
 const [program, cli, folder] = process.argv.slice(2);
 const HOSTILE = '<img src=x onerror="window.broken = 1"> <script>window.broken = 1';
@@ -431,6 +431,72 @@ try {
         assert.equal(await page.getByTestId('health').innerText(), 'ready');
         await page.getByTestId('producers').getByRole('cell', { name: 'robot-2' }).first().waitFor();
         await page.screenshot({ path: join(folder, 'operations.png') });
+    });
+
+    await check('a recording that is dropped becomes a map, and is learned once', async () => {
+        daemon.run('sample', 'recording', join(folder, 'recorded'));
+        const file = join(folder, 'recorded', 'robot.mcap');
+        await page.goto(daemon.http);
+        await dropped(page, [file]);
+        const name = page.getByTestId('import-map');
+        assert.equal(await name.inputValue(), 'robot');
+        assert.deepEqual(await violations(page), []);
+        await name.fill('No name');
+        await page.getByTestId('import-send').click();
+        await page.getByTestId('import-refused').getByText('No name is no name of a map').waitFor();
+        await name.fill('corridor');
+        await name.press('Enter');
+        await page.getByTestId('import-outcome').getByText('Imported into corridor.').waitFor();
+        const said = await page.getByTestId('import-lines').innerText();
+        assert.match(said, /map "corridor" is created[^]*\/scan +sensor_msgs\/LaserScan +2016 +scans +2016 +0 +0/);
+        assert.deepEqual(await violations(page), []);
+        await page.screenshot({ path: join(folder, 'import.png') });
+        await page.getByTestId('import-open').click();
+        await page.getByTestId('map-canvas').waitFor();
+        assert.equal(new URL(page.url()).pathname, '/maps/corridor');
+        assert.equal(await page.getByTestId('import-dialog').count(), 0);
+        // The same file, picked with the button, is for the open map, and nothing of it is new.
+        await page.getByTestId('import-files').setInputFiles(file);
+        assert.equal(await name.inputValue(), 'corridor');
+        await page.getByTestId('import-send').click();
+        await page.getByTestId('import-outcome').waitFor();
+        assert.match(await page.getByTestId('import-lines').innerText(), /sent 6048 observations as upload\/robot\.mcap before/);
+        assert.equal(await page.getByTestId('import-open').count(), 0);
+        await page.keyboard.press('Escape');
+        await page.getByTestId('import-dialog').waitFor({ state: 'detached' });
+        assert.equal(await page.evaluate(() => document.activeElement?.dataset.testid), 'import');
+        assert.equal(JSON.parse(daemon.run('map', 'show', 'corridor', '--output', 'json'))[0].scans, 2016);
+    });
+
+    await check('what is no recording is told', async () => {
+        const [text, noise] = ['notes.txt', 'noise.bag'].map((name) => join(folder, name));
+        writeFileSync(text, 'nothing');
+        writeFileSync(noise, HOSTILE.repeat(100));
+        await dropped(page, [text]);
+        await page.getByRole('alert').getByText('notes.txt is no recording').waitFor();
+        assert.equal(await page.getByTestId('import-send').count(), 0);
+        await page.keyboard.press('Escape');
+        await dropped(page, [noise]);
+        await page.getByTestId('import-map').fill('noise');
+        await page.getByTestId('import-send').click();
+        await page.getByTestId('import-outcome').getByText('Not all was taken').waitFor();
+        assert.match(await page.getByTestId('import-lines').innerText(), /noise\.bag: this is no recording that is known/);
+        assert.equal(await page.getByTestId('import-open').count(), 0);
+        assert.equal(await page.evaluate(() => window.broken), undefined);
+        await page.keyboard.press('Escape');
+    });
+
+    await check('where nobody may write, a drop says so', async () => {
+        const alone = join(folder, 'reading');
+        mkdirSync(alone);
+        const reading = await Daemon.start(program, cli, alone);
+        try {
+            await page.goto(reading.http);
+            await dropped(page, [join(folder, 'recorded', 'robot.mcap')]);
+            await page.getByTestId('import-refused').getByText('http_write').waitFor();
+        } finally {
+            await reading.stop();
+        }
     });
 
     await check('a daemon that goes away is told, and the page recovers', async () => {

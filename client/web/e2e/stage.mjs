@@ -3,9 +3,9 @@
 // Invariant: every process that is started here ends with `stop`; everything is written into one folder.
 
 import { execFileSync, spawn } from 'node:child_process';
-import { openSync, readdirSync } from 'node:fs';
+import { openSync, readdirSync, readFileSync } from 'node:fs';
 import { createServer } from 'node:net';
-import { join } from 'node:path';
+import { basename, join } from 'node:path';
 
 import { chromium } from 'playwright-core';
 
@@ -120,6 +120,18 @@ export function pixels(page) {
         }
         return hash >>> 0;
     });
+}
+
+/** Drops files onto the page. */
+export async function dropped(page, files) {
+    const contents = files.map((file) => ({ name: basename(file), base64: readFileSync(file).toString('base64') }));
+    const transfer = await page.evaluateHandle((contents) => {
+        const transfer = new DataTransfer();
+        for (const { name, base64 } of contents) transfer.items.add(new File([Uint8Array.from(atob(base64), (byte) => byte.charCodeAt(0))], name));
+        return transfer;
+    }, contents);
+    for (const event of ['dragover', 'drop']) await page.dispatchEvent('main', event, { dataTransfer: transfer });
+    await page.getByTestId('import-dialog').waitFor();
 }
 
 /** Moves the slider of the day to a time and waits until the map shows it. */

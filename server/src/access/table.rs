@@ -24,6 +24,11 @@ const fn role(role: Role) -> Need {
     Need::Role(role)
 }
 
+/// The method of streams of observations.
+pub(crate) const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
+/// The method that creates maps.
+pub(crate) const CREATE_MAP: &str = "/tidemap.v1.MapService/CreateMap";
+
 /// The methods by path.
 const TABLE: &[(&str, Need)] = &[
     ("/grpc.health.v1.Health/Check", Need::Open),
@@ -31,7 +36,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Need::Token),
     ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Need::Token),
     // Maps and their content. Producers ask what a map is before they send to it.
-    ("/tidemap.v1.MapService/CreateMap", role(Admin)),
+    (CREATE_MAP, role(Admin)),
     ("/tidemap.v1.MapService/GetMap", Need::Token),
     ("/tidemap.v1.MapService/ListMaps", Need::Token),
     ("/tidemap.v1.MapService/DeleteMap", role(Admin)),
@@ -44,7 +49,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MapService/SetNoGo", role(Operator)),
     ("/tidemap.v1.MapService/DeleteNoGo", role(Operator)),
     ("/tidemap.v1.MapService/ListNoGo", Need::Token),
-    ("/tidemap.v1.ObservationService/Observe", role(Observer)),
+    (OBSERVE, role(Observer)),
     ("/tidemap.v1.ObservationService/Report", role(Observer)),
     // To learn from the answer needs the observer, too.
     ("/tidemap.v1.ObservationService/ClassifyActivity", role(Planner)),

@@ -4,6 +4,7 @@
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
+use anyhow::Context as _;
 use rustix::process::{Resource, getrlimit, setrlimit};
 use tokio::{
     net::TcpListener,
@@ -28,7 +29,7 @@ use crate::{
     reload::FileWatch,
     rpc::{self, guard::Access, maintenance::PageAddress, serve::Services},
     storage_watch,
-    web::{self, KnownHosts},
+    web::{self, KnownHosts, Recordings},
 };
 
 /// Time for connections to close after their streams got a goodbye.
@@ -92,14 +93,20 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
 
 /// What the HTTP port serves of maps. Where tokens are asked for, they decide; without, the port is for reading, and
 /// browsers must reach it by a name that the operator knows.
-fn web(services: &Services, access: &Access, settings: &Settings) -> anyhow::Result<axum::Router> {
+fn web(
+    services: &Services,
+    access: &Access,
+    settings: &Settings,
+    stopping: watch::Receiver<bool>,
+) -> anyhow::Result<axum::Router> {
     let hosts = known_hosts(access, settings);
     let access = match access {
         Access::Tokens(_) => access.clone(),
         Access::Anybody if settings.http_write => Access::Anybody,
         Access::Anybody | Access::Readers => Access::Readers,
     };
-    web::router(&services.guarded(access.clone()), services.guarded_queries(access), hosts)
+    let recordings = Recordings::new(settings, services, access.clone(), stopping).context("folder of recordings")?;
+    web::router(&services.guarded(access.clone()), services.guarded_queries(access), recordings, hosts)
 }
 
 /// The names by which browsers may reach the HTTP port; any, where tokens are asked for.
@@ -155,7 +162,7 @@ impl Ports {
         services.health().tell(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
         crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
-        let web = web(&services, &access, settings)?;
+        let web = web(&services, &access, settings, stopping.clone())?;
         let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
         let grpc_is_local = grpc_address.ip().is_loopback();
         let grpc = rpc::serve::serve(connections, access.clone(), services, grpc_is_local, ports_stopping.clone());

@@ -27,7 +27,7 @@ use crate::{
     access::{
         Caller,
         peer_secret::PeerSecret,
-        table::{Need, method_name, need},
+        table::{Need, OBSERVE, method_name, need},
     },
     connections::{Busy, Peer, Remote},
     telemetry::{occasional::Occasional, traces::Span},
@@ -39,9 +39,6 @@ mod shares;
 use arriving::ArrivingBody;
 use shares::Shares;
 pub(crate) use shares::{Share, Taken};
-
-/// Streams of observations have a bound of their own, `max_streams`, and take their requests when they like.
-const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
 
 /// Watches of anomalies have a bound of their own, `max_watches`.
 const WATCH_ANOMALIES: &str = "/tidemap.v1.QueryService/WatchAnomalies";
@@ -100,6 +97,13 @@ pub(crate) struct Admitted {
     caller: Caller,
     peer: Peer,
     _held: Arc<(Option<Taken>, Option<Busy>)>,
+}
+
+impl Admitted {
+    /// Who asks.
+    pub(crate) fn caller(&self) -> &Caller {
+        &self.caller
+    }
 }
 
 /// A service whose requests are admitted.
@@ -164,6 +168,7 @@ impl<S> AdmittedService<S> {
         })?;
         let is_stranger = need(path) == Some(Need::Open) && !matches!(caller, Caller::Holder(_));
         let share = match method {
+            // Streams of observations have a bound of their own, `max_streams`, and take their requests when they like.
             OBSERVE | WATCH_ANOMALIES => None,
             WATCH_HEALTH => Some(Share::HealthWatches),
             _ if is_stranger => Some(Share::Open),

@@ -72,6 +72,12 @@ pub(super) fn check_producer(producer: &str) -> Result<(), RpcError> {
     Err(RpcError::NotForProducer { producer: producer.chars().take(80).collect() })
 }
 
+/// Checks that the caller of this request may send observations of this map as this producer.
+pub(crate) fn check_sender(map: &str, producer: &str) -> Result<(), RpcError> {
+    check_scope(map)?;
+    check_producer(producer)
+}
+
 /// The map of this name, even if it shows no more yet than the generation that the index publishes.
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     check_scope(name)?;

@@ -88,9 +88,9 @@ const LABELLED: &[(&str, &str, &[&str])] = &[
     ),
     ("tidemap_reloads_total", "what", &["tokens", "certificates"]),
     ("tidemap_reload_failures_total", "what", &["tokens", "certificates"]),
-    ("tidemap_connections_displaced", "port", &["grpc", "http", "probes"]),
-    ("tidemap_connections_refused", "port", &["grpc", "http", "probes"]),
-    ("tidemap_connections_silent", "port", &["grpc", "http", "probes"]),
+    ("tidemap_connections_displaced", "port", &["grpc", "http", "probes", "imports"]),
+    ("tidemap_connections_refused", "port", &["grpc", "http", "probes", "imports"]),
+    ("tidemap_connections_silent", "port", &["grpc", "http", "probes", "imports"]),
 ];
 
 /// Codes of requests that are counted from 0 on: success, and those of which the daemon is to blame.
@@ -101,7 +101,10 @@ pub(crate) const PRODUCER_SILENT: &str = "tidemap_producer_silent_seconds";
 
 /// Values that go up and down.
 const GAUGES: &[(&str, &str)] = &[
-    ("tidemap_connections", "Open connections, by port: grpc, http, or probes, the reserve of the HTTP port"),
+    (
+        "tidemap_connections",
+        "Open connections, by port: grpc, http, probes, the reserve of the HTTP port, or imports of recordings",
+    ),
     ("tidemap_streams", "Open streams of observations"),
     ("tidemap_requests", "Requests under way"),
     ("tidemap_computing_requests", "Requests that compute now"),

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use axum::{
     extract::Request,
-    http::{HeaderValue, header},
+    http::{Extensions, HeaderMap, HeaderValue, header},
 };
 use tidemap_map::topology::Topology;
 use tidemap_proto::{
@@ -37,11 +37,16 @@ pub(super) struct Caller {
 impl Caller {
     /// The caller of a request.
     pub(super) fn of(request: &Request) -> Self {
-        let token = request.headers().get(header::AUTHORIZATION).cloned();
-        Self { token, remote: request.extensions().get().cloned() }
+        Self::of_head(request.headers(), request.extensions())
     }
 
-    fn request<T>(&self, message: T) -> tonic::Request<T> {
+    /// The caller of a request with this head.
+    pub(super) fn of_head(headers: &HeaderMap, extensions: &Extensions) -> Self {
+        Self { token: headers.get(header::AUTHORIZATION).cloned(), remote: extensions.get().cloned() }
+    }
+
+    /// A request of this caller.
+    pub(super) fn request<T>(&self, message: T) -> tonic::Request<T> {
         let mut request = tonic::Request::new(message);
         if let Some(token) = &self.token
             && let Ok(token) = tonic::metadata::MetadataValue::try_from(token.as_bytes())

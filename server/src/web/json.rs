@@ -37,7 +37,8 @@ pub(super) fn ok(document: Bytes) -> Response {
     reply(StatusCode::OK, "application/json", Body::from(document))
 }
 
-fn reply(code: StatusCode, content_type: &'static str, body: Body) -> Response {
+/// An answer that is never kept.
+pub(super) fn reply(code: StatusCode, content_type: &'static str, body: Body) -> Response {
     let mut response = Response::new(body);
     *response.status_mut() = code;
     let headers = response.headers_mut();

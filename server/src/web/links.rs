@@ -26,11 +26,13 @@ mod parameters;
 mod picture;
 mod topology;
 
+pub(super) use parameters::Given;
 pub(super) use picture::{PARAMETERS as PICTURE_PARAMETERS, grid_png};
 pub(super) use topology::{PARAMETERS as TOPOLOGY_PARAMETERS, topology_geojson};
 
 /// Why there is no content.
-enum Failure {
+#[derive(Debug)]
+pub(super) enum Failure {
     /// An RPC refused or failed.
     Refused(Status),
     /// A parameter is wrong, or there is nothing to show.
@@ -58,7 +60,8 @@ impl From<InvalidTime> for Failure {
 }
 
 impl Failure {
-    fn response(&self) -> Response {
+    /// The answer.
+    pub(super) fn response(&self) -> Response {
         match self {
             Self::Refused(status) => json::status_reply(status),
             Self::Invalid(text) => json::failure(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "INVALID_FIELD", text),
@@ -68,6 +71,7 @@ impl Failure {
 }
 
 /// A parameter of an address, as the description of the interface shows it.
+#[derive(Clone, Copy)]
 pub(super) struct Parameter {
     /// Name of the parameter, as in the query of an address.
     pub name: &'static str,

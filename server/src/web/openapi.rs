@@ -1,6 +1,6 @@
 //! The description of the JSON interface (OpenAPI 3.1), made from the descriptors of the wire and their comments.
 //!
-//! Invariant: it has each RPC that JSON can call, what can be linked to, and nothing else.
+//! Invariant: it has each RPC that JSON can call, what can be linked to, where recordings go, and nothing else.
 
 use axum::body::Bytes;
 use prost_reflect::{
@@ -9,7 +9,10 @@ use prost_reflect::{
 };
 use serde_json::{Map, Value, json};
 
-use super::links::{PICTURE_PARAMETERS, Parameter, TOPOLOGY_PARAMETERS};
+use super::{
+    links::{PICTURE_PARAMETERS, Parameter, TOPOLOGY_PARAMETERS},
+    recordings,
+};
 
 /// The comment before an element of a file, as one text.
 pub(super) fn comment(file: &FileDescriptor, path: &[i32]) -> String {
@@ -105,10 +108,6 @@ fn enumeration(known: &EnumDescriptor) -> Value {
 fn operation(method: &MethodDescriptor) -> Value {
     let service = method.parent_service();
     let media = if method.is_server_streaming() { "application/x-ndjson" } else { "application/json" };
-    let error = json!({
-        "description": "The request was refused or failed; `error.message` says why.",
-        "content": { "application/json": { "schema": reference("Error") } },
-    });
     let text = comment(&method.parent_file(), method.path());
     let operation = json!({
         "operationId": format!("{}.{}", service.name(), method.name()),
@@ -122,7 +121,7 @@ fn operation(method: &MethodDescriptor) -> Value {
                 "description": if method.is_server_streaming() { "One object a line." } else { "The reply." },
                 "content": { media: { "schema": kind(&Kind::Message(method.output())) } },
             },
-            "default": error,
+            "default": error(),
         },
     });
     described(operation, text)
@@ -146,12 +145,13 @@ const LINKS: [(&str, &str, &[Parameter], &str); 2] = [
     ),
 ];
 
-/// The operation of a link.
-fn link(text: &str, parameters: &[Parameter], media: &str) -> Value {
-    let name = json!({
-        "name": "name", "in": "path", "required": true, "schema": { "type": "string" },
-        "description": "Name of the map.",
-    });
+/// A part of a path.
+fn part(name: &str, text: &str) -> Value {
+    json!({ "name": name, "in": "path", "required": true, "schema": { "type": "string" }, "description": text })
+}
+
+/// Parameters of an address: those in its path, then these.
+fn all_parameters(parts: impl IntoIterator<Item = Value>, parameters: &[Parameter]) -> Vec<Value> {
     let others = parameters.iter().map(|parameter| {
         let mut described = json!({
             "name": parameter.name, "in": "query", "schema": { "type": "string" },
@@ -162,19 +162,65 @@ fn link(text: &str, parameters: &[Parameter], media: &str) -> Value {
         }
         described
     });
+    parts.into_iter().chain(others).collect()
+}
+
+/// The answer to a request that has no other.
+fn error() -> Value {
+    json!({
+        "description": "The request was refused or failed; `error.message` says why.",
+        "content": { "application/json": { "schema": reference("Error") } },
+    })
+}
+
+/// The operation of a link.
+fn link(text: &str, parameters: &[Parameter], media: &str) -> Value {
     json!({
         "description": text,
         "tags": ["Links"],
-        "parameters": std::iter::once(name).chain(others).collect::<Vec<Value>>(),
+        "parameters": all_parameters([part("name", "Name of the map.")], parameters),
         "responses": {
             "200": { "description": "The content.", "content": { media: {} } },
             "304": { "description": "The caller has it: `If-None-Match` was its `ETag`." },
-            "default": {
-                "description": "The request was refused or failed; `error.message` says why.",
-                "content": { "application/json": { "schema": reference("Error") } },
-            },
+            "default": error(),
         },
     })
+}
+
+/// The operations on recordings.
+fn recordings() -> Value {
+    let parts = || [part("name", "Name of the map."), part("file", "Name of the file, such as drive.mcap.")];
+    let operation = |text: &str, parameters: &[Parameter], reply: (&str, &str)| {
+        json!({
+            "description": text,
+            "tags": ["Recordings"],
+            "parameters": all_parameters(parts(), parameters),
+            "responses": {
+                "200": { "description": reply.1, "content": { reply.0: {} } },
+                "default": error(),
+            },
+        })
+    };
+    let [producer, bytes] = recordings::PARAMETERS;
+    let mut post = operation(
+        "Imports a recording of a robot, as `tidemap import` does: MCAP, a bag of ROS 1, or a database of rosbag2. The \
+         map is created if it does not exist. The same file again, under the same name, sends what is missing. Who asks \
+         may send observations of the map, and create it if it does not exist. One recording is imported at a time; the \
+         import ends when the connection does.",
+        std::slice::from_ref(producer),
+        (
+            "application/x-ndjson",
+            "One object a line: `line`, a text; `progress`, with the `seconds` since the import began; at the end \
+             `done` and `exit`, which is 0 if all was taken, or `error`.",
+        ),
+    );
+    post["requestBody"] = json!({ "required": true, "content": { "application/octet-stream": {} } });
+    let get = operation(
+        "Says whether a recording would be taken now. Ask before you send a large one.",
+        &[*producer, *bytes],
+        ("application/json", "It would be taken: `mapExists`, the `file` as it is named, and `maxUploadBytes`."),
+    );
+    json!({ "get": get, "post": post })
 }
 
 /// The document.
@@ -193,6 +239,8 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
     for (path, text, parameters, media) in LINKS {
         paths.insert(path.to_owned(), json!({ "get": link(text, parameters, media) }));
     }
+    tags.push(json!({ "name": "Recordings", "description": "Recordings of robots, as files." }));
+    paths.insert(recordings::PATH.to_owned(), recordings());
     let error = json!({
         "type": "object",
         "required": ["error"],
@@ -244,7 +292,8 @@ mod tests {
         let paths = document["paths"].as_object().expect("paths");
         let callable = pool.services().flat_map(|service| service.methods().collect::<Vec<_>>());
         let methods = callable.filter(|method| !method.is_client_streaming()).count();
-        assert_eq!(paths.values().filter(|path| path["post"].is_object()).count(), methods);
+        // Recordings are looked at and sent.
+        assert_eq!(paths.values().filter(|path| path["post"].is_object()).count(), methods + 1);
         assert_eq!(paths.values().filter(|path| path["get"].is_object()).count(), paths.len() - methods);
         let schemas = document["components"]["schemas"].as_object().expect("schemas");
         let text = document.to_string();

@@ -44,6 +44,11 @@ export function setToken(given: string): void {
     link.epoch++;
 }
 
+/** The headers of a request that goes beside the services. */
+export function authorization(): Record<string, string> {
+    return token ? { authorization: `Bearer ${token}` } : {};
+}
+
 /** Calls of a daemon that has fallen silent are given up together. */
 let calls = new AbortController();
 /** When something was heard last. */

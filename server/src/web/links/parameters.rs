@@ -5,7 +5,7 @@
 use super::{Failure, Parameter};
 
 /// The parameters that were given.
-pub(super) struct Given(Vec<(&'static str, String)>);
+pub(in super::super) struct Given(Vec<(&'static str, String)>);
 
 /// A text without its percent signs; `None` if it is not UTF-8.
 fn decoded(text: &str) -> Option<String> {
@@ -25,7 +25,7 @@ fn decoded(text: &str) -> Option<String> {
 
 impl Given {
     /// The parameters of a query.
-    pub(super) fn of(query: Option<&str>, known: &'static [Parameter]) -> Result<Self, Failure> {
+    pub(in super::super) fn of(query: Option<&str>, known: &'static [Parameter]) -> Result<Self, Failure> {
         let mut given: Vec<(&'static str, String)> = Vec::new();
         for part in query.unwrap_or("").split('&').filter(|part| !part.is_empty()) {
             let (name, value) = part.split_once('=').unwrap_or((part, ""));
@@ -49,7 +49,7 @@ impl Given {
     }
 
     /// The value of a parameter; none if it is not given, or empty.
-    pub(super) fn get(&self, name: &str) -> Option<&str> {
+    pub(in super::super) fn get(&self, name: &str) -> Option<&str> {
         self.0.iter().find(|(known, value)| *known == name && !value.is_empty()).map(|(_, value)| value.as_str())
     }
 

@@ -1,0 +1,329 @@
+//! One import: the program `tidemap` reads the file and sends what it finds, as any client would.
+//!
+//! Invariant: the program has nothing of the daemon but a Unix socket that nobody else can reach, on which the caller's
+//! token is checked as on every port. It ends before its file is removed, whoever leaves first: the sender, who
+//! reads what it says, or the daemon. What it says is bounded.
+
+use std::{
+    convert::Infallible,
+    fs, io,
+    os::{
+        fd::AsRawFd as _,
+        unix::process::{CommandExt as _, ExitStatusExt as _},
+    },
+    path::{Path, PathBuf},
+    process::{ExitStatus, Stdio},
+    time::{Duration, Instant},
+};
+
+use axum::body::Bytes;
+use rustix::process::{Pid, Resource, Rlimit, prlimit};
+use serde_json::{Value, json};
+use tidemap_map::name::{MapName, ProducerKey};
+use tokio::{
+    io::{AsyncBufReadExt as _, AsyncRead, AsyncReadExt as _, AsyncWriteExt as _, BufReader},
+    process::{Child, Command},
+    sync::{mpsc, watch},
+    time::MissedTickBehavior,
+};
+use tracing::{info, warn};
+
+use super::workplace::Workplace;
+use crate::{
+    connections::{
+        ConnectionLimits, Connections, Port,
+        accept::{Acceptor, Listener},
+        socket::listen_unix,
+    },
+    rpc::{self, admission::Admitted, guard::Access, serve::Services},
+};
+
+/// Address space of the program, which needs a tenth of it. A hostile file cannot take the daemon's memory.
+const MEMORY_BYTES: u64 = 2 << 30;
+/// The system ends the program before the daemon where memory is short.
+const OOM_SCORE: &str = "1000";
+/// Connections of the program.
+const CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { total: 16, per_client: 16, idle_after: Duration::from_secs(60) };
+/// Name of the socket.
+const SOCKET: &str = "socket";
+/// Time between two signs of life.
+const BEAT_EVERY: Duration = Duration::from_secs(2);
+/// A line must be taken within this time.
+const READ_WITHIN: Duration = Duration::from_secs(60);
+/// Maximum number of lines that are told.
+const LINES_MAX: usize = 2000;
+/// A longer line is told in parts.
+const LINE_BYTES_MAX: u64 = 4096;
+/// Lines that wait.
+const LINES_AHEAD: usize = 64;
+/// Exit status of a program that a signal ended, less the signal, as shells have it.
+const SIGNALLED: i32 = 128;
+
+/// What the daemon gives to an import.
+pub(super) struct Origin {
+    pub(super) services: Services,
+    pub(super) access: Access,
+    /// Becomes true when the daemon stops.
+    pub(super) stopping: watch::Receiver<bool>,
+}
+
+/// An import of the file that its place holds.
+pub(super) struct Import {
+    pub(super) program: PathBuf,
+    pub(super) map: MapName,
+    pub(super) key: ProducerKey,
+    /// What the program proves its sender by.
+    pub(super) token: Option<String>,
+    pub(super) place: Workplace,
+    pub(super) origin: Origin,
+}
+
+/// Why an import did not end by itself.
+#[derive(Debug, thiserror::Error)]
+enum Stopped {
+    #[error("the sender is gone")]
+    Left,
+    #[error("the daemon is stopping; the same file again sends what is missing")]
+    Stopping,
+    #[error("the import cannot be run: {0}")]
+    Io(#[from] io::Error),
+}
+
+impl Stopped {
+    fn object(&self) -> Value {
+        let (code, reason) = match self {
+            Self::Left => ("CANCELLED", "LEFT"),
+            Self::Stopping => ("UNAVAILABLE", "STOPPING"),
+            Self::Io(_) => ("INTERNAL", "IMPORT_FAILED"),
+        };
+        json!({ "error": { "code": code, "reason": reason, "message": self.to_string() } })
+    }
+}
+
+/// Who hears of an import.
+struct Listeners(mpsc::Sender<Result<Bytes, Infallible>>);
+
+impl Listeners {
+    async fn tell(&self, object: &Value) -> Result<(), Stopped> {
+        let line = Bytes::from(format!("{object}\n"));
+        self.0.send_timeout(Ok(line), READ_WITHIN).await.map_err(|_| Stopped::Left)
+    }
+
+    async fn line(&self, text: &str) -> Result<(), Stopped> {
+        self.tell(&json!({ "line": text })).await
+    }
+}
+
+impl Import {
+    /// Starts the import, and gives the lines that tell of it. It ends when nobody takes them.
+    pub(super) fn start(self, admitted: Admitted) -> mpsc::Receiver<Result<Bytes, Infallible>> {
+        let (sender, lines) = mpsc::channel(LINES_AHEAD);
+        crate::task::spawn(async move {
+            let listeners = Listeners(sender);
+            let ended = self.run(&listeners).await;
+            let (map, file) = (self.map.as_str(), self.place.file());
+            match &ended {
+                Ok(exit) => info!(map, file, exit, "a recording was imported"),
+                Err(error) => warn!(map, file, %error, "the import of a recording was stopped"),
+            }
+            self.place.clear().await;
+            let last = match ended {
+                Ok(exit) => json!({ "done": true, "exit": exit }),
+                Err(error) => error.object(),
+            };
+            // Who left does not hear it.
+            drop(listeners.tell(&last).await);
+            drop(admitted);
+        });
+        lines
+    }
+
+    /// Runs the program to its end, and gives its exit status.
+    async fn run(&self, listeners: &Listeners) -> Result<i32, Stopped> {
+        let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Imports, CONNECTIONS));
+        acceptor.listen(Listener::Unix(listen_in(self.place.folder())?));
+        let (stop, stopped) = watch::channel(false);
+        let Origin { services, access, .. } = &self.origin;
+        crate::task::spawn(rpc::serve::serve(accepted, access.clone(), services.clone(), false, stopped));
+        let ended = self.follow(listeners).await;
+        stop.send_replace(true);
+        ended
+    }
+
+    async fn follow(&self, listeners: &Listeners) -> Result<i32, Stopped> {
+        let mut child = self.spawn()?;
+        let mut stopping = self.origin.stopping.clone();
+        let followed = tokio::select! {
+            followed = follow(&mut child, self.token.as_deref(), listeners) => followed,
+            () = listeners.0.closed() => Err(Stopped::Left),
+            _ = stopping.wait_for(|stopping| *stopping) => Err(Stopped::Stopping),
+        };
+        if followed.is_err() {
+            // One that has ended already needs none.
+            drop(child.kill().await);
+        }
+        Ok(exit_status(followed?))
+    }
+
+    fn spawn(&self) -> io::Result<Child> {
+        let mut command = std::process::Command::new(&self.program);
+        command
+            .args(["import", "--output", "table", "--patience", "10s"])
+            .arg(format!("--producer={}", self.key.producer()))
+            .arg(format!("--label={}", self.key.label()))
+            // A name that begins with a dash is no option.
+            .args(["--", self.map.as_str(), self.place.file()])
+            .current_dir(self.place.recording_folder())
+            .env_clear()
+            .env("TIDEMAP_SERVER", format!("unix:../{SOCKET}"))
+            // Few threads and heaps: each takes address space.
+            .envs([("TOKIO_WORKER_THREADS", "2"), ("MALLOC_ARENA_MAX", "2")])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            // The daemon ends it, and no Ctrl-C that is meant for the daemon.
+            .process_group(0);
+        if self.token.is_some() {
+            // Neither an argument nor a file: others can see the one, and the other may stay.
+            command.env("TIDEMAP_TOKEN_FILE", "/dev/stdin").stdin(Stdio::piped());
+        } else {
+            command.stdin(Stdio::null());
+        }
+        let child = Command::from(command).kill_on_drop(true).spawn()?;
+        limit(&child);
+        Ok(child)
+    }
+}
+
+/// Listens on a socket in a folder. Its path is one of this process, because the folder's own may be too long.
+fn listen_in(folder: &Path) -> io::Result<tokio::net::UnixListener> {
+    let opened = fs::File::open(folder)?;
+    listen_unix(&Path::new("/proc/self/fd").join(opened.as_raw_fd().to_string()).join(SOCKET), 0o600)
+}
+
+/// Limits what the program may take. It was started a moment ago, and has read nothing yet.
+fn limit(child: &Child) {
+    let Some(pid) = child.id() else { return };
+    let limited = Rlimit { current: Some(MEMORY_BYTES), maximum: Some(MEMORY_BYTES) };
+    let pid_raw = i32::try_from(pid).ok().and_then(Pid::from_raw);
+    if let Err(error) = prlimit(pid_raw, Resource::As, limited) {
+        warn!(%error, "the memory of an import is not limited");
+    }
+    // Where the system does not allow it, the daemon is no worse off than without.
+    let _ = fs::write(format!("/proc/{pid}/oom_score_adj"), OOM_SCORE);
+}
+
+/// Tells what the program says, until it ends.
+async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -> Result<ExitStatus, Stopped> {
+    if let (Some(token), Some(mut stdin)) = (token, child.stdin.take()) {
+        // A program that ends before it has read the token says why.
+        let _ = stdin.write_all(token.as_bytes()).await;
+    }
+    let (said, mut lines) = mpsc::channel(LINES_AHEAD);
+    if let Some(output) = child.stdout.take() {
+        crate::task::spawn(split(output, said.clone()));
+    }
+    if let Some(output) = child.stderr.take() {
+        crate::task::spawn(split(output, said));
+    }
+    let begun = Instant::now();
+    let mut beat = tokio::time::interval(BEAT_EVERY);
+    beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut count = 0_usize;
+    loop {
+        tokio::select! {
+            line = lines.recv() => match line {
+                Some(line) if count < LINES_MAX => {
+                    count += 1;
+                    listeners.line(&line).await?;
+                }
+                Some(_) => count += 1,
+                None => break,
+            },
+            _ = beat.tick() => {
+                listeners.tell(&json!({ "progress": { "seconds": begun.elapsed().as_secs() } })).await?;
+            }
+        }
+    }
+    let status = child.wait().await?;
+    if count > LINES_MAX {
+        listeners.line(&format!("{} more lines are left out", count - LINES_MAX)).await?;
+    }
+    if let Some(signal) = status.signal() {
+        let text = format!(
+            "the program that read the file was ended by signal {signal}: the file may need more memory than an import \
+             has here. Use tidemap import"
+        );
+        listeners.line(&text).await?;
+    }
+    Ok(status)
+}
+
+fn exit_status(status: ExitStatus) -> i32 {
+    status.code().unwrap_or_else(|| SIGNALLED + status.signal().unwrap_or(0))
+}
+
+/// Sends the lines of an output, until it ends or nobody takes them.
+async fn split(output: impl AsyncRead + Unpin + Send, lines: mpsc::Sender<String>) {
+    let mut output = BufReader::new(output);
+    loop {
+        let mut line = Vec::new();
+        let read = (&mut output).take(LINE_BYTES_MAX).read_until(b'\n', &mut line).await;
+        if !matches!(read, Ok(bytes) if bytes > 0) {
+            return;
+        }
+        let text = String::from_utf8_lossy(&line).trim_end().to_owned();
+        if lines.send(text).await.is_err() {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn lines_of(script: &str, token: Option<&str>) -> (ExitStatus, Vec<Value>) {
+        let mut command = Command::new("/bin/sh");
+        command.args(["-c", script]).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.kill_on_drop(true).spawn().expect("a shell");
+        let (sender, mut receiver) = mpsc::channel(LINES_AHEAD);
+        let listeners = Listeners(sender);
+        let heard = tokio::spawn(async move {
+            let mut heard = Vec::new();
+            while let Some(Ok(line)) = receiver.recv().await {
+                let object: Value = serde_json::from_slice(&line).expect("JSON");
+                heard.extend(object.get("line").cloned());
+            }
+            heard
+        });
+        let status = follow(&mut child, token, &listeners).await.expect("it ends");
+        drop(listeners);
+        (status, heard.await.expect("the lines"))
+    }
+
+    #[tokio::test]
+    async fn what_a_program_says_is_told_and_bounded() {
+        let (status, lines) = lines_of("cat; echo; echo a >&2; exit 3", Some("secret")).await;
+        assert_eq!((exit_status(status), lines.len()), (3, 2));
+        assert!(lines.contains(&json!("secret")) && lines.contains(&json!("a")), "{lines:?}");
+        let (_, lines) = lines_of("seq 3000", None).await;
+        assert_eq!((lines.len(), &lines[LINES_MAX]), (LINES_MAX + 1, &json!("1000 more lines are left out")));
+        let (_, lines) = lines_of("head -c 10000 /dev/zero | tr '\\0' x", None).await;
+        let lengths: Vec<usize> = lines.iter().filter_map(|line| line.as_str().map(str::len)).collect();
+        assert_eq!(lengths, [4096, 4096, 1808]);
+        let (status, lines) = lines_of("kill -9 $$", None).await;
+        assert_eq!((exit_status(status), lines.len()), (137, 1));
+    }
+
+    #[tokio::test]
+    async fn a_program_whose_sender_left_is_not_waited_for() {
+        let mut command = Command::new("/bin/sh");
+        command.args(["-c", "echo a; sleep 600"]).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.kill_on_drop(true).spawn().expect("a shell");
+        let (sender, receiver) = mpsc::channel(LINES_AHEAD);
+        drop(receiver);
+        let followed = follow(&mut child, None, &Listeners(sender)).await;
+        assert!(matches!(followed, Err(Stopped::Left)));
+    }
+}

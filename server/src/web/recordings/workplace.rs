@@ -1,0 +1,219 @@
+//! Where a file waits for its import: a folder in the data folder, for one import at a time.
+//!
+//! Invariant: the folder is empty when no import is under way, whatever ended the last one, and the turn to import is
+//! free only then. The disk keeps [`FREE_BYTES_KEPT`] for maps.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use axum::body::Body;
+use http_body_util::BodyExt as _;
+use rustix::fs::statvfs;
+use tokio::{io::AsyncWriteExt as _, sync::OwnedSemaphorePermit};
+use tracing::warn;
+
+use super::upload_error::UploadError;
+
+/// Free bytes of the disk that files do not take.
+const FREE_BYTES_KEPT: u64 = 1 << 30;
+/// Bytes that arrive between two looks at the disk.
+const LOOK_EVERY_BYTES: u64 = 64 << 20;
+/// More of a file has to arrive within this time.
+const ARRIVES_WITHIN: Duration = Duration::from_secs(60);
+/// Maximum size of the name of a file, so that it fits into a label and into any folder.
+const NAME_BYTES_MAX: usize = 120;
+/// The folder of the file, in which the program that reads it is started.
+const RECORDING: &str = "recording";
+
+/// The name of a file as its sender gave it, without folders.
+pub(super) fn file_name(given: &str) -> Result<String, UploadError> {
+    let name = given.rsplit(['/', '\\']).next().unwrap_or_default().trim();
+    let is_name = !name.chars().all(|character| character == '.') && !name.chars().any(char::is_control);
+    if !is_name {
+        return Err(UploadError::FileName(given.chars().take(NAME_BYTES_MAX).collect()));
+    }
+    if name.len() > NAME_BYTES_MAX {
+        return Err(UploadError::LongName { bytes: name.len(), max: NAME_BYTES_MAX });
+    }
+    Ok(name.to_owned())
+}
+
+/// Free bytes of the disk that holds a folder, or will; what the system does not tell bounds nothing.
+fn free_bytes(folder: &Path) -> u64 {
+    let disk = statvfs(folder).or_else(|_| statvfs(folder.parent().unwrap_or(folder)));
+    disk.map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+/// Checks that the disk of a folder has room for so many bytes.
+///
+/// # Errors
+/// It has not.
+pub(super) fn check_room(folder: &Path, bytes: u64) -> Result<(), UploadError> {
+    let free = free_bytes(folder);
+    if free < bytes.saturating_add(FREE_BYTES_KEPT) {
+        return Err(UploadError::NoRoom { free, kept: FREE_BYTES_KEPT });
+    }
+    Ok(())
+}
+
+/// Removes a folder with all that is in it.
+///
+/// # Errors
+/// It cannot be removed.
+pub(super) fn empty(folder: &Path) -> io::Result<()> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Does work on the disk, off the async threads.
+async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send + 'static) -> io::Result<T> {
+    crate::task::blocking(work).await.unwrap_or_else(|error| Err(io::Error::other(error)))
+}
+
+/// The place of one import. It is emptied when this is dropped.
+#[derive(Debug)]
+pub(super) struct Workplace {
+    folder: PathBuf,
+    file: String,
+    turn: Option<OwnedSemaphorePermit>,
+}
+
+impl Workplace {
+    /// Makes the place for a file of this name.
+    ///
+    /// # Errors
+    /// The disk.
+    pub(super) async fn make(folder: PathBuf, file: &str, turn: OwnedSemaphorePermit) -> io::Result<Self> {
+        let place = Self { folder, file: file.to_owned(), turn: Some(turn) };
+        let (folder, made) = (place.folder.clone(), place.recording_folder());
+        on_disk(move || {
+            // Work that was given up may have left something since.
+            empty(&folder)?;
+            fs::create_dir_all(made)
+        })
+        .await?;
+        Ok(place)
+    }
+
+    /// The folder that holds nothing but the file.
+    pub(super) fn recording_folder(&self) -> PathBuf {
+        self.folder.join(RECORDING)
+    }
+
+    /// The folder of everything else; seen from the other one, it is `..`.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Name of the file.
+    pub(super) fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Writes a file as it arrives.
+    ///
+    /// # Errors
+    /// It is too large or empty, does not arrive, or the disk has no room.
+    pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<(), UploadError> {
+        let mut file = tokio::fs::File::create_new(self.recording_folder().join(&self.file)).await?;
+        let (mut received, mut looked_at) = (0_u64, 0);
+        loop {
+            let late = |_| UploadError::Late { secs: ARRIVES_WITHIN.as_secs() };
+            let Some(frame) = tokio::time::timeout(ARRIVES_WITHIN, body.frame()).await.map_err(late)? else { break };
+            let Ok(data) = frame.map_err(|_| UploadError::Broken)?.into_data() else { continue };
+            received += data.len() as u64;
+            if received > max_bytes {
+                return Err(UploadError::TooLarge { max: max_bytes });
+            }
+            if received - looked_at >= LOOK_EVERY_BYTES {
+                looked_at = received;
+                check_room(&self.folder, 0)?;
+            }
+            self.written(file.write_all(&data).await)?;
+        }
+        self.written(file.flush().await)?;
+        if received == 0 { Err(UploadError::Empty) } else { Ok(()) }
+    }
+
+    fn written(&self, done: io::Result<()>) -> Result<(), UploadError> {
+        match done {
+            Err(error) if error.kind() == io::ErrorKind::StorageFull => {
+                Err(UploadError::NoRoom { free: free_bytes(&self.folder), kept: FREE_BYTES_KEPT })
+            }
+            done => Ok(done?),
+        }
+    }
+
+    /// Empties the place, and gives the turn to the next import.
+    pub(super) async fn clear(mut self) {
+        if let Some(turn) = self.turn.take() {
+            let folder = self.folder.clone();
+            drop(crate::task::blocking(move || remove(&folder, turn)).await);
+        }
+    }
+}
+
+fn remove(folder: &Path, turn: OwnedSemaphorePermit) {
+    if let Err(error) = empty(folder) {
+        warn!(%error, folder = %folder.display(), "a file that was imported is still there; the next start removes it");
+    }
+    drop(turn);
+}
+
+impl Drop for Workplace {
+    fn drop(&mut self) {
+        let Some(turn) = self.turn.take() else { return };
+        let folder = std::mem::take(&mut self.folder);
+        // A daemon that stops has no threads for it any more; the next start empties the place.
+        if tokio::runtime::Handle::try_current().is_ok() {
+            drop(crate::task::blocking(move || remove(&folder, turn)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_name_has_no_folder_and_is_a_name() {
+        for (given, name) in [
+            ("drive.bag", "drive.bag"),
+            ("../../etc/passwd", "passwd"),
+            ("C:\\logs\\a b.mcap", "a b.mcap"),
+            (" halle-über.db3 ", "halle-über.db3"),
+            ("-rf", "-rf"),
+            (".hidden", ".hidden"),
+        ] {
+            assert_eq!(file_name(given).expect(given), name);
+        }
+        for given in ["", ".", "..", "...", "a/", "a/..", "\\", "a\nb", "a\0b", " "] {
+            assert!(matches!(file_name(given), Err(UploadError::FileName(_))), "{given:?}");
+        }
+        assert!(matches!(file_name(&"ü".repeat(61)), Err(UploadError::LongName { bytes: 122, .. })));
+    }
+
+    #[tokio::test]
+    async fn a_place_is_empty_before_the_next_has_its_turn() {
+        let data = tempfile::tempdir().expect("a folder");
+        let folder = data.path().join("uploads");
+        let turns = std::sync::Arc::new(tokio::sync::Semaphore::new(1));
+        for is_dropped in [true, false] {
+            let turn = std::sync::Arc::clone(&turns).acquire_owned().await.expect("a turn");
+            assert!(!folder.exists());
+            let place = Workplace::make(folder.clone(), "a.bag", turn).await.expect("a place");
+            place.receive(Body::from("bytes"), 5).await.expect("taken");
+            assert_eq!(fs::read(folder.join("recording/a.bag")).expect("there"), b"bytes");
+            if is_dropped { drop(place) } else { place.clear().await }
+        }
+        let turn = std::sync::Arc::clone(&turns).acquire_owned().await.expect("a turn");
+        assert!(!folder.exists());
+        let place = Workplace::make(folder.clone(), "a.bag", turn).await.expect("a place");
+        assert!(matches!(place.receive(Body::from("bytes!"), 5).await, Err(UploadError::TooLarge { max: 5 })));
+    }
+}
