@@ -8,6 +8,8 @@ from types import SimpleNamespace as Message
 
 import pytest
 
+import tidemap
+import tidemap.times
 from tidemap_ros import clock_words, graph, parameters, traversals
 from tidemap_ros.graph import Node, RouteGraph
 from tidemap_ros.parameters import BadParameter, Settings
@@ -31,6 +33,11 @@ def test_times_in_words(words, seconds):
 def test_words_that_are_no_time_are_refused(words):
     with pytest.raises(clock_words.BadTime):
         clock_words.nanos(words, NOW)
+
+
+@pytest.mark.parametrize("nanos", [0, 1, 5 * SECOND + 123_456_789, 10**16 - 1, 10**16, NOW + 1])
+def test_the_package_takes_times_of_a_simulated_clock(nanos):
+    assert tidemap.times.read(clock_words.stated(nanos)).nanos.tolist() == [nanos]
 
 
 @pytest.mark.parametrize("words, needed", [

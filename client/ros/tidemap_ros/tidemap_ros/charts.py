@@ -136,10 +136,10 @@ class Charts:
         asked = (region.min_x, region.min_y, low, region.max_x, region.max_y, high)
         options = {"output": output, "region": asked, "project": True}
         name, model = self._settings.text("map"), self._settings.text("model")
-        found = self._client().grid(name, nanos, model=model, **options)
+        found = self._client().grid(name, clock_words.stated(nanos), model=model, **options)
         if model == "auto" and found.generation == 0:
             # Nothing is learned before the first nightly update; what was seen last is better than nothing.
-            found = self._client().grid(name, nanos, model="latest", **options)
+            found = self._client().grid(name, clock_words.stated(nanos), model="latest", **options)
         layer = np.asarray(found.values[0], dtype=np.float64)
         if layer.shape != (region.height, region.width):
             raise NoMap(f"the daemon gave {layer.shape} cells where {(region.height, region.width)} were asked for")

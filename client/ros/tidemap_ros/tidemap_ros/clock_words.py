@@ -1,4 +1,4 @@
-"""Times as people write them in parameters and requests.
+"""Times as people write them in parameters and requests, and as the package ``tidemap`` takes them.
 
 Invariant: a time is nanoseconds since 1970 UTC; nothing here reads a clock.
 """
@@ -7,10 +7,17 @@ from __future__ import annotations
 
 import re
 from datetime import datetime, timezone
+from typing import Union
+
+import numpy as np
 
 _UNITS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "w": 604_800.0}
 _OFFSET = re.compile(r"([+-])\s*(\d+(?:\.\d+)?)\s*(s|m|min|h|d|w)")
 _EARLIEST = datetime(1970, 1, 1, tzinfo=timezone.utc)
+
+
+# The package refuses smaller integers as ambiguous: they could be seconds.
+_PLAIN_FROM = 10**16
 
 
 class BadTime(ValueError):
@@ -43,6 +50,15 @@ def needs_now(words: str) -> bool:
     """Whether the time of these words depends on what time it is."""
     text = words.strip()
     return not text or text.startswith(("now", "+", "-"))
+
+
+def stated(time_nanos: int) -> Union[int, str]:
+    """A time for the package ``tidemap``, to the nanosecond. A simulated clock begins at 0, so a small time is written
+    in words.
+    """
+    if time_nanos == 0 or abs(time_nanos) >= _PLAIN_FROM:
+        return time_nanos
+    return f"{np.datetime64(time_nanos, 'ns')}Z"
 
 
 def _checked(found: int, words: str) -> int:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tidemap_ros import arrays, records
+from tidemap_ros.clock_words import stated
 from tidemap_ros.spool import Position, Spool, SpoolError
 
 IN_FLIGHT_RECORDS = 4096
@@ -224,7 +225,7 @@ class Sender(threading.Thread):
         except (records.BadRecord, ValueError) as error:
             # The name of a state has no slash: the daemon refuses it, and the number is used. Where the stream has
             # ended this raises, too, and the record is kept.
-            number = self._producer.send("tidemap_ros/unsendable", max(seen_nanos, 0), 0.0)
+            number = self._producer.send("tidemap_ros/unsendable", stated(max(seen_nanos, 0)), 0.0)
             with self._lock:
                 self._state.unsendable += 1
             self._log(f"a record cannot be sent, and is left out: {error}")
@@ -235,16 +236,16 @@ class Sender(threading.Thread):
     def _hand_over(self, record: records.Record) -> int:
         producer = self._producer
         if isinstance(record, records.Value):
-            return int(producer.send(record.state, record.time_nanos, record.value))
+            return int(producer.send(record.state, stated(record.time_nanos), record.value))
         if isinstance(record, records.Ranges):
             return int(producer.send_ranges(
-                record.time_nanos, record.pose, record.ranges_m, angle_min_rad=record.angle_min_rad,
+                stated(record.time_nanos), record.pose, record.ranges_m, angle_min_rad=record.angle_min_rad,
                 angle_increment_rad=record.angle_increment_rad, min_range_m=record.min_range_m,
                 max_range_m=record.max_range_m, frame_id=record.frame_id,
             ))
         if isinstance(record, records.Cloud):
             return int(producer.send_cloud(
-                record.time_nanos, record.pose, record.xyz_m, min_range_m=record.min_range_m,
+                stated(record.time_nanos), record.pose, record.xyz_m, min_range_m=record.min_range_m,
                 max_range_m=record.max_range_m, frame_id=record.frame_id,
             ))
         if isinstance(record, records.Picture):
@@ -253,9 +254,9 @@ class Sender(threading.Thread):
             cells, first = arrays.in_cells_of_map(
                 record.cells, record.pose, record.resolution_m, self._grid.resolution_m, self._grid.origin_m
             )
-            return int(producer.send_grid(record.time_nanos, cells, first_cell=first))
+            return int(producer.send_grid(stated(record.time_nanos), cells, first_cell=first))
         return int(producer.send_traversal(
-            record.from_node, record.to_node, record.start_nanos, record.end_nanos, record.success,
+            record.from_node, record.to_node, stated(record.start_nanos), stated(record.end_nanos), record.success,
             action=record.action, reason=record.reason,
         ))
 

@@ -254,6 +254,16 @@ def test_a_daemon_that_is_killed_and_away_costs_nothing(bench, peer):
     assert bench.history("door") == rows and last_values(heard, "daemon")["level"] == "0"
 
 
+def test_a_simulated_clock_begins_at_zero(bench, peer):
+    bench.client.create_map("office")
+    bench.node()
+    observe = peer.publisher(String, "/tidemap/observe")
+    rows = [(second * SECOND, float(second % 2)) for second in range(1, 21)]
+    say(observe, rows)
+    until(lambda: len(bench.history("door")) >= 20, "all observations")
+    assert bench.history("door") == rows
+
+
 def test_a_daemon_that_no_longer_answers_costs_nothing(bench, peer):
     bench.client.create_map("office")
     bench.node()
