@@ -117,6 +117,9 @@ struct Planned {
 
 pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<ExitCode> {
     let planned = planned(&args).await?;
+    if args.period.is_none() {
+        list::tell_fast_clouds(&planned);
+    }
     if args.list {
         list::print(session, &planned)?;
         return Ok(ExitCode::SUCCESS);
