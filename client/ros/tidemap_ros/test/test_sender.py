@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import tidemap.times
 from tidemap_ros import records, sender
 from tidemap_ros.poses import IDENTITY
 from tidemap_ros.sender import MapGrid, Sender
@@ -31,6 +32,11 @@ class Daemon:
             raise ConnectionError("no daemon answers")
         self.opened += 1
         return Producer(self)
+
+
+def nanos(given) -> int:
+    """A time as the real producer reads it: small integers are refused."""
+    return int(tidemap.times.read(given).nanos[0])
 
 
 class Producer:
@@ -66,19 +72,19 @@ class Producer:
         self.daemon.kept[self.last] = what
         return self.last
 
-    def send(self, state, time_nanos, value):
+    def send(self, state, time, value):
         if "/" in state:
             self.refused.append(SimpleNamespace(sequence=self.last + 1, reason="StateName", detail="a slash"))
-        return self.keep((state, time_nanos, value))
+        return self.keep((state, nanos(time), value))
 
-    def send_grid(self, time_nanos, cells, *, first_cell):
-        return self.keep((time_nanos, cells.tolist(), first_cell))
+    def send_grid(self, time, cells, *, first_cell):
+        return self.keep((nanos(time), cells.tolist(), first_cell))
 
-    def send_cloud(self, time_nanos, pose, points, **rest):
+    def send_cloud(self, time, pose, points, **rest):
         raise ValueError("a cloud from the future")
 
-    def send_traversal(self, *ends, **rest):
-        return self.keep(ends)
+    def send_traversal(self, from_node, to_node, start, end, success, **rest):
+        return self.keep((from_node, to_node, nanos(start), nanos(end), success))
 
     def abandon(self) -> None:
         pass
