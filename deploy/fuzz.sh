@@ -10,7 +10,7 @@ cd "$(dirname "$0")/.."
 secs=${1:-60}
 shift $(($# > 0 ? 1 : 0))
 targets=("$@")
-[ "${#targets[@]}" -gt 0 ] || targets=(wire csv files checkpoint history log row list)
+[ "${#targets[@]}" -gt 0 ] || targets=(wire csv files checkpoint history log row list recording)
 work=$PWD/target/fuzz
 export CARGO_TARGET_DIR=$work/build
 mkdir -p "$work"
