@@ -9,7 +9,7 @@ use tidemap_proto::{
     convert::{
         anomaly, cells, columns, exploration, map, query, route,
         scans::{ScanDecoder, ScanLimits, scans_from_wire},
-        search, site, topology, traversals, vectors,
+        search, sightings, site, topology, traversals, vectors,
     },
     v1,
 };
@@ -41,6 +41,11 @@ fn observe(request: v1::ObserveRequest) {
                 let _ = traversals::traversal_from_wire(traversal);
             }
         }
+        Some(Up::Sightings(batch)) => {
+            for sighting in &batch.sightings {
+                let _ = sightings::sighting_from_wire(sighting);
+            }
+        }
         Some(Up::Hello(_) | Up::Alive(_)) | None => {}
     }
 }
@@ -53,7 +58,9 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
         5 => {
             drop(decode::<v1::LoadTopologyRequest>("LoadTopologyRequest", bytes).map(|r| topology::load_from_wire(&r)))
         }
-        6 => drop(decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_from_wire(&r))),
+        6 => drop(
+            decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_question_from_wire(&r)),
+        ),
         7 => drop(decode::<v1::PlanRouteRequest>("PlanRouteRequest", bytes).map(|r| route::route_from_wire(&r))),
         8 => drop(decode::<v1::PlanSearchRequest>("PlanSearchRequest", bytes).map(|r| search::search_from_wire(&r))),
         9 => drop(decode::<v1::PredictGridRequest>("PredictGridRequest", bytes).map(|r| cells::question_from_wire(&r))),
