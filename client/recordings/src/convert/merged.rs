@@ -43,7 +43,7 @@ impl Hasher for CellHasher {
 /// missing.
 fn floor(value: f64) -> i64 {
     let whole = value as i64;
-    whole - i64::from(whole as f64 > value)
+    whole.saturating_sub(i64::from(whole as f64 > value))
 }
 
 /// The first point of each cell, and how many points there were, which are at most `points_max`.
@@ -73,4 +73,22 @@ pub(super) fn points(
         }
     }
     (taken, count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_each_cell_the_first_point_is_taken_however_far_it_is() {
+        let cells = CellSize { resolution_m: 0.1, origin_m: [0.0; 3] };
+        let pose = Isometry3::translation(1.0, 0.0, 0.0);
+        let given = [[0.01, 0.0, 0.0], [0.09, 0.0, 0.0], [-0.01, 0.0, 0.0], [1e30, -1e30, 1e19], [-1e19, 0.0, 0.0]];
+        let (taken, count) = points(given.into_iter(), given.len(), &pose, cells);
+        let expected = [given[0], given[2], given[3], given[4]].map(|point| point.map(|along| along as f32));
+        assert_eq!((taken.as_slice(), count), (expected.as_slice(), 5));
+        for value in [0.0, 0.5, -0.5, 2.0, -2.0, 1e15 + 0.5, -1e15 - 0.5] {
+            assert_eq!(floor(value), value.floor() as i64, "{value}");
+        }
+    }
 }
