@@ -13,13 +13,13 @@ use crate::InvalidParts;
 const NUMBER_BITS: usize = 32;
 
 /// A number that is kept when it comes, and all that are kept then, by hash.
-struct Step {
+struct GapStep {
     number: u64,
     kept: Vec<u64>,
 }
 
 /// The steps of the numbers below a power of two, and not below the one before; ascending.
-static STEPS: [OnceLock<Vec<Step>>; NUMBER_BITS] = [const { OnceLock::new() }; NUMBER_BITS];
+static STEPS: [OnceLock<Vec<GapStep>>; NUMBER_BITS] = [const { OnceLock::new() }; NUMBER_BITS];
 
 /// A sample of the times between readings, in a fixed place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
@@ -111,7 +111,7 @@ fn kept_before(count: u64) -> &'static [u64] {
 }
 
 /// The steps of the numbers with so many bits after the first. Computed once.
-fn steps(bits: usize) -> &'static [Step] {
+fn steps(bits: usize) -> &'static [GapStep] {
     let Some(steps) = STEPS.get(bits) else { return &[] };
     steps.get_or_init(|| {
         let first = if bits == 0 { 0 } else { 1 << bits };
@@ -122,7 +122,7 @@ fn steps(bits: usize) -> &'static [Step] {
             if kept.len() < KEPT || kept.last().is_some_and(|&last| hashed < hash(last)) {
                 kept.insert(kept.partition_point(|&other| hash(other) < hashed), number);
                 kept.truncate(KEPT);
-                steps.push(Step { number, kept: kept.clone() });
+                steps.push(GapStep { number, kept: kept.clone() });
             }
         }
         steps
