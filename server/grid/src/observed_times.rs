@@ -29,7 +29,7 @@ impl ObservedTimes {
         self.by_hour.as_flattened_mut().iter_mut().for_each(|hours| *hours = (f64::from(*hours) * factor) as f32);
     }
 
-    /// What is equal of equal times, and differs else.
+    /// The content as the key of a table: two keys are equal exactly if the times are equal, bit by bit.
     pub(crate) fn key(&self) -> (GapSample, u64, [[u32; 24]; 2]) {
         (self.gaps, self.hours.to_bits(), self.by_hour.map(|hours| hours.map(f32::to_bits)))
     }

@@ -149,8 +149,8 @@ pub(super) struct Gains {
     /// Likewise for the times.
     shared_times: HashMap<TimesKey, (Arc<ObservedTimes>, Arc<ObservedTimes>)>,
     no_times: Arc<ObservedTimes>,
-    /// Times of groups that share no sum; equal ones are kept once. A robot that moves sees many cells so often, at
-    /// times of their own, but few at other intervals.
+    /// Times of groups that share no sum; equal ones are kept once. A moving robot sees most cells at times of their
+    /// own, but the gaps between, in whole seconds, are often the same.
     equal_times: HashMap<TimesContent, Arc<ObservedTimes>>,
 }
 

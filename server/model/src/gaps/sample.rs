@@ -12,7 +12,7 @@ use crate::InvalidParts;
 /// Gaps with a number of more bits are not kept.
 const NUMBER_BITS: usize = 32;
 
-/// A number that is kept when it comes, and all that are kept then, by hash.
+/// The number of a gap that enters the sample when it comes, and the numbers of the sample from then on, by hash.
 struct GapStep {
     number: u64,
     kept: Vec<u64>,
