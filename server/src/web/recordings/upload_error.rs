@@ -22,7 +22,7 @@ pub(super) enum UploadError {
     Parameters(Box<Failure>),
     #[error("parameter bytes is the size of the file, a number of bytes")]
     Bytes,
-    #[error("map {map} does not exist, and is not created for this sender: {error}")]
+    #[error("map {map} does not exist, and this sender may not create it: {error}")]
     NotCreated { map: MapName, error: Box<RpcError> },
     #[error("this daemon takes no recordings over HTTP (setting max_upload_bytes is 0): use tidemap import")]
     Off,
@@ -39,7 +39,7 @@ pub(super) enum UploadError {
     LongName { bytes: usize, max: usize },
     #[error("send the file as application/octet-stream")]
     MediaType,
-    #[error("another recording is being imported, and one at a time is: try again when it has ended")]
+    #[error("another recording is being imported, and only one can be at a time: try again when it has ended")]
     Busy,
     #[error(
         "the file has more than {max} bytes, which is the maximum (setting max_upload_bytes): use tidemap import, or \
