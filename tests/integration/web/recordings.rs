@@ -255,6 +255,21 @@ fn chunked(daemon: &Daemon, path: &str) -> TcpStream {
     socket
 }
 
+/// Sends a file whole, and reads its answer until the import runs.
+fn running(daemon: &Daemon, path: &str, bag: &[u8]) -> BufReader<TcpStream> {
+    let mut socket = chunked(daemon, path);
+    write!(socket, "{:x}\r\n", bag.len()).expect("a part");
+    socket.write_all(bag).expect("all");
+    socket.write_all(b"\r\n0\r\n\r\n").expect("the end");
+    let mut answer = BufReader::new(socket);
+    let mut line = String::new();
+    while !line.contains("progress") {
+        line.clear();
+        assert!(answer.read_line(&mut line).expect("more") > 0, "it runs");
+    }
+    answer
+}
+
 #[test]
 fn one_import_at_a_time_and_who_leaves_makes_room() {
     let (data, daemon) = started();
@@ -272,16 +287,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
 
     // Who leaves while the import runs stops it; the same file again goes on.
     let large = door(60_000);
-    let mut socket = chunked(&daemon, "large/recordings/door.bag");
-    write!(socket, "{:x}\r\n", large.len()).expect("a part");
-    socket.write_all(&large).expect("all");
-    socket.write_all(b"\r\n0\r\n\r\n").expect("the end");
-    let mut answer = BufReader::new(socket);
-    let mut line = String::new();
-    while !line.contains("progress") {
-        line.clear();
-        assert!(answer.read_line(&mut line).expect("more") > 0, "it runs");
-    }
+    let answer = running(&daemon, "large/recordings/door.bag", &large);
     drop(answer);
     eventually("the file is gone", || is_empty(data.path()));
     eventually("it is told", || daemon.process().stderr().contains("the import of a recording was stopped"));
@@ -294,16 +300,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
 fn a_daemon_that_stops_ends_its_import() {
     let (data, daemon) = started();
     let large = door(60_000);
-    let mut socket = chunked(&daemon, "large/recordings/door.bag");
-    write!(socket, "{:x}\r\n", large.len()).expect("a part");
-    socket.write_all(&large).expect("all");
-    socket.write_all(b"\r\n0\r\n\r\n").expect("the end");
-    let mut answer = BufReader::new(socket);
-    let mut line = String::new();
-    while !line.contains("progress") {
-        line.clear();
-        assert!(answer.read_line(&mut line).expect("more") > 0, "it runs");
-    }
+    let answer = running(&daemon, "large/recordings/door.bag", &large);
     let stopped = std::thread::spawn(move || daemon.stop_in_order());
     let rest: Vec<String> = answer.lines().map_while(Result::ok).collect();
     assert!(rest.iter().any(|line| line.contains("STOPPING")), "{rest:?}");
