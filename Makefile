@@ -4,7 +4,8 @@
 .DEFAULT_GOAL := help
 .PHONY: help build texts schemathesis foxglove api-page palette web web-check demo cluster-demo test wheel python ros-test cpp-test docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
-HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward)
+HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward) or \
+	test(replica::tests)
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -20,16 +21,16 @@ WEBSOCKETS := 17.4
 # test. The runner then finds all of it built.
 TESTED = --workspace --locked --bins --tests $(FEATURES)
 # All but the allocator, whose C code takes as long to build as a crate of the daemon.
-FEATURES := --no-default-features --features tidemapd/traces,tidemap/experiment
+FEATURES := --no-default-features --features tidemapd/traces
 
 ## help: the targets of this file
 help:
 	@sed -n 's/^## \([a-z-]*\): /  make \1\t/p' Makefile | expand -t 22
 
-## build: the daemon and the command line, optimised
+## build: the daemon, the command line and the load generator, optimised
 build:
 	@$(SETUP)
-	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench
 
 ## web: the page, from client/web into client/web/dist, which the daemon embeds; needs Node
 web:
@@ -70,7 +71,7 @@ web-check: web
 		{ echo "client/web/dist is not what client/web builds to: run make web, and commit client/web/dist" >&2; exit 1; }
 
 ## demo: a simulated office, weeks of robots' observations, and what is learned from them
-# Without the allocator, the traces and the experiments, which it does not need.
+# Without the allocator and the traces, which it does not need.
 demo:
 	@$(SETUP)
 	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
@@ -148,7 +149,7 @@ soak:
 ## cluster-bench: measures a cluster of three engines and three daemons on this machine; FIGURES="lag moves" for some
 cluster-bench:
 	@$(SETUP) cluster
-	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench
 	@$(ENV); python3 deploy/cluster_bench.py "$(BUILT)" $(FIGURES)
 
 ## cluster-faults: harms a cluster in network namespaces with CLUSTER_FAULTS faults (300); SEED=n; can be resumed; root
@@ -170,7 +171,9 @@ durability: export TIDEMAP_FLIPS ?= 1000
 durability: export TIDEMAP_HARMS ?= 500
 durability: export TIDEMAP_CALL_KILLS ?= 300
 durability: export TIDEMAP_FULL_ROUNDS ?= 100
+durability: export TIDEMAP_ERASURE_KILLS ?= 20
 durability: export TIDEMAP_SIMULATED_SEEDS ?= 5000
+durability: export TIDEMAP_CLUSTER_SEEDS ?= 2500
 durability: export TIDEMAP_OPERATIONS ?= 20000
 durability: export TIDEMAP_TOKEN_READS ?= 100000
 durability: export TIDEMAP_FULL := 1
@@ -189,17 +192,17 @@ durability:
 texts: build
 	@deploy/texts.sh "$(BUILT)" target/texts
 
-## install: both programs, completions and man pages, into PREFIX (default /usr/local)
+## install: the programs, completions and man pages, into PREFIX (default /usr/local)
 install: texts
 	@dir="$(DESTDIR)$(PREFIX)"; sudo=; \
 		if ! mkdir -p "$$dir/bin" 2>/dev/null || ! [ -w "$$dir/bin" ]; then sudo=sudo; fi; \
-		$$sudo install -D -s -m 755 -t "$$dir/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"; \
+		$$sudo install -D -s -m 755 -t "$$dir/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap" "$(BUILT)/tidemap-bench"; \
 		$$sudo install -D -m 644 -t "$$dir/share/man/man1" target/texts/man/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/bash-completion/completions" target/texts/bash/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/zsh/site-functions" target/texts/zsh/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/fish/vendor_completions.d" target/texts/fish/*
 
-## deb: the Debian package of both programs, in target/deb
+## deb: the Debian package of the programs, in target/deb
 deb: build
 	@$(SETUP) deb
 	@$(ENV); deploy/deb.sh "$(BUILT)"

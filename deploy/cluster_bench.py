@@ -82,7 +82,7 @@ class Alone:
         shutil.rmtree(self.folder)
 
     def tidemap(self, *words):
-        return subprocess.run([self.programs / "tidemap", "--server", f"127.0.0.1:{self.port}", *words],
+        return subprocess.run(kit.command(self.programs, f"127.0.0.1:{self.port}", words),
                               stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                               env=kit.environment())
 

@@ -105,6 +105,13 @@ class Host:
         return self.folder / "data"
 
 
+def command(programs, server, words):
+    """The command line of these words: those after `bench` are of the load generator."""
+    if words[0] == "bench":
+        return [programs / "tidemap-bench", "--server", server, *words[1:]]
+    return [programs / "tidemap", "--server", server, *words]
+
+
 class Cluster:
     """Three hosts. `programs` is the folder with tidemapd and tidemap; `hub` runs clients."""
 
@@ -170,7 +177,7 @@ class Cluster:
             self.kill(host, "daemon", "engine")
 
     def command(self, host, *words):
-        return [*self.hub, self.programs / "tidemap", "--server", host.address, *words]
+        return [*self.hub, *command(self.programs, host.address, words)]
 
     def tidemap(self, host, *words, timeout=WITHIN_SECS):
         """Runs the command line against the daemon of a host; gives status, rows of stdout by column, and stderr."""

@@ -14,13 +14,17 @@ use tonic::{
     Status,
     metadata::{Ascii, MetadataValue},
     service::{Interceptor, interceptor::InterceptedService},
-    transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity},
+    transport::{Channel, Endpoint},
 };
 
 use crate::{
-    error::{Error, root_cause},
+    error::Error,
     read_tokens::{ReadTokens, TokenService},
 };
+
+mod secure;
+
+use secure::SecureConnector;
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
@@ -80,7 +84,11 @@ impl fmt::Debug for Credentials {
 }
 
 impl Credentials {
-    fn tls(&self, is_tls: bool) -> Result<Option<ClientTlsConfig>, Error> {
+    /// What opens connections to an address; `None` without TLS.
+    ///
+    /// # Errors
+    /// [`Error::Tls`]
+    fn connector(&self, is_tls: bool) -> Result<Option<SecureConnector>, Error> {
         let wrong = |text: &str| Err(Error::Tls(text.to_owned()));
         match (&self.ca, &self.identity) {
             (None, None) if !is_tls => Ok(None),
@@ -91,13 +99,7 @@ impl Credentials {
             (Some(ca), _) if !ca.windows(PEM_BEGIN.len()).any(|part| part == PEM_BEGIN) => {
                 wrong("the file of authorities holds no certificate in PEM form")
             }
-            (Some(ca), identity) => {
-                let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)).timeout(CONNECT_TIMEOUT);
-                Ok(Some(match identity {
-                    Some((certificate, key)) => tls.identity(Identity::from_pem(certificate, key)),
-                    None => tls,
-                }))
-            }
+            (Some(ca), identity) => SecureConnector::new(ca, identity.as_ref()).map(Some),
         }
     }
 }
@@ -110,6 +112,47 @@ fn is_of_this_machine(server: &str) -> bool {
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
 }
 
+/// Where a daemon listens, and how connections to it are opened.
+#[derive(Clone, Debug)]
+struct DaemonEndpoint {
+    endpoint: Endpoint,
+    connector: Option<SecureConnector>,
+}
+
+impl DaemonEndpoint {
+    fn new(server: &str, connector: Option<SecureConnector>) -> Result<Self, Error> {
+        let invalid = || Error::Address { url: server.to_owned(), hint: "" };
+        let origin = server.to_owned();
+        // The connector does TLS itself: tonic would add TLS of its own to an https address.
+        let reached = if connector.is_some() { server.replacen("https:", "http:", 1) } else { origin.clone() };
+        let mut endpoint = Endpoint::from_shared(reached)
+            .map_err(|_| invalid())?
+            .connect_timeout(CONNECT_TIMEOUT)
+            .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
+            .keep_alive_timeout(KEEPALIVE_TIMEOUT)
+            .keep_alive_while_idle(true)
+            .tcp_nodelay(true);
+        if connector.is_some() {
+            endpoint = endpoint.origin(origin.parse().map_err(|_| invalid())?);
+        }
+        Ok(Self { endpoint, connector })
+    }
+
+    fn connect_lazy(&self) -> Channel {
+        match &self.connector {
+            Some(connector) => self.endpoint.connect_with_connector_lazy(connector.clone()),
+            None => self.endpoint.connect_lazy(),
+        }
+    }
+
+    async fn connect(&self) -> Result<Channel, tonic::transport::Error> {
+        match &self.connector {
+            Some(connector) => self.endpoint.connect_with_connector(connector.clone()).await,
+            None => self.endpoint.connect().await,
+        }
+    }
+}
+
 /// A client of a daemon. Cheap to clone; clones share connections.
 #[derive(Clone, Debug)]
 pub struct Client {
@@ -119,7 +162,7 @@ pub struct Client {
 #[derive(Debug)]
 struct Inner {
     server: String,
-    endpoint: Endpoint,
+    endpoint: DaemonEndpoint,
     bearer: Bearer,
     requests: Connection,
     tokens: ReadTokens,
@@ -162,8 +205,8 @@ impl Client {
                 Bearer(Some(value))
             }
         };
-        let tls = credentials.tls(is_tls)?;
-        Self::with_bearer(server, tls, bearer)
+        let connector = credentials.connector(is_tls)?;
+        Self::with_bearer(server, connector, bearer)
     }
 
     /// As [`Client::new`], and checks that a daemon is listening.
@@ -178,17 +221,8 @@ impl Client {
         }
     }
 
-    fn with_bearer(server: String, tls: Option<ClientTlsConfig>, bearer: Bearer) -> Result<Self, Error> {
-        let mut endpoint = Endpoint::from_shared(server.clone())
-            .map_err(|_| Error::Address { url: server.clone(), hint: "" })?
-            .connect_timeout(CONNECT_TIMEOUT)
-            .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
-            .keep_alive_timeout(KEEPALIVE_TIMEOUT)
-            .keep_alive_while_idle(true)
-            .tcp_nodelay(true);
-        if let Some(tls) = tls {
-            endpoint = endpoint.tls_config(tls).map_err(|error| Error::Tls(root_cause(&error)))?;
-        }
+    fn with_bearer(server: String, connector: Option<SecureConnector>, bearer: Bearer) -> Result<Self, Error> {
+        let endpoint = DaemonEndpoint::new(&server, connector)?;
         Ok(Self::of_parts(server, endpoint, bearer, ReadTokens::default()))
     }
 
@@ -207,7 +241,7 @@ impl Client {
         Self::of_parts(server.clone(), endpoint.clone(), bearer.clone(), other.inner.tokens.clone())
     }
 
-    fn of_parts(server: String, endpoint: Endpoint, bearer: Bearer, tokens: ReadTokens) -> Self {
+    fn of_parts(server: String, endpoint: DaemonEndpoint, bearer: Bearer, tokens: ReadTokens) -> Self {
         let channel = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
         let requests = TokenService::new(channel, tokens.clone());
         Self { inner: Arc::new(Inner { server, endpoint, bearer, requests, tokens, streams: Mutex::new(Vec::new()) }) }

@@ -3,7 +3,7 @@
 //! Invariant: the variant and the status code of an error say how to handle it, never the text; messages are for people
 //! and are passed on complete.
 
-use std::{error::Error as StdError, io};
+use std::{error::Error as StdError, io, time::Duration};
 
 use tonic::{Code, Status};
 use tonic_types::StatusExt as _;
@@ -42,6 +42,8 @@ pub struct ServerError {
     pub message: String,
     /// The invalid fields of the request.
     pub fields: Vec<WrongField>,
+    /// The daemon had no room, and did nothing: the same request may be sent again after this time.
+    pub retry_after: Option<Duration>,
 }
 
 /// An invalid field of a request.
@@ -85,6 +87,15 @@ impl Error {
         }
     }
 
+    /// After which time the same request may be sent again, if the daemon had no room for it and did nothing.
+    #[must_use]
+    pub fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Server(error) => error.retry_after,
+            _ => None,
+        }
+    }
+
     /// The status code, if the daemon replied with one.
     #[must_use]
     pub fn code(&self) -> Option<Code> {
@@ -96,6 +107,11 @@ impl Error {
 }
 
 impl ServerError {
+    /// An error of a stream, which has no further details.
+    pub(crate) fn new(code: Code, message: String) -> Self {
+        Self { code, message, fields: Vec::new(), retry_after: None }
+    }
+
     fn from_status(status: &Status) -> Self {
         let fields = status.get_details_bad_request().map_or_else(Vec::new, |bad| {
             let wrong = |violation: tonic_types::FieldViolation| WrongField {
@@ -106,7 +122,7 @@ impl ServerError {
         });
         let message =
             if status.message().is_empty() { status.code().description() } else { status.message() }.to_owned();
-        Self { code: status.code(), message, fields }
+        Self { code: status.code(), message, fields, retry_after: retry_after(status) }
     }
 
     /// Whether the same request may succeed later. A connection that breaks during a request arrives as one of several
@@ -117,6 +133,19 @@ impl ServerError {
             Code::Unavailable | Code::Unknown | Code::Internal | Code::Cancelled | Code::DeadlineExceeded
         )
     }
+}
+
+/// After which time a request that found no room may be sent again: what the daemon, or what stands before it, says.
+#[must_use]
+pub fn retry_after(status: &Status) -> Option<Duration> {
+    if status.code() != Code::ResourceExhausted {
+        return None;
+    }
+    let in_details = status.get_details_retry_info().and_then(|info| info.retry_delay);
+    in_details.or_else(|| {
+        let header = status.metadata().get("retry-after")?.to_str().ok()?;
+        header.trim().parse().ok().map(Duration::from_secs)
+    })
 }
 
 /// The innermost cause, if this side made the status because the connection failed.
@@ -176,6 +205,22 @@ mod tests {
         let details = ErrorDetails::with_bad_request_violation("name", "too long");
         let status = Status::with_error_details(Code::InvalidArgument, "name: too long", details);
         assert_eq!(Error::from_status("http://h:1", &status).to_string(), "name: too long");
+    }
+
+    #[test]
+    fn the_time_of_another_try_is_that_of_the_daemon() {
+        let hint = |details, header: Option<&str>| {
+            let mut status = Status::with_error_details(Code::ResourceExhausted, "full", details);
+            if let Some(header) = header {
+                status.metadata_mut().insert("retry-after", header.parse().expect("text"));
+            }
+            Error::from_status("http://h:1", &status).retry_after()
+        };
+        let in_details = ErrorDetails::with_retry_info(Some(Duration::from_millis(250)));
+        assert_eq!(hint(in_details, None), Some(Duration::from_millis(250)));
+        assert_eq!(hint(ErrorDetails::new(), Some("3")), Some(Duration::from_secs(3)));
+        assert_eq!(hint(ErrorDetails::new(), None), None, "too much for a limit, at any time");
+        assert_eq!(retry_after(&Status::unavailable("no")), None);
     }
 
     #[test]

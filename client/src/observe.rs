@@ -1,4 +1,4 @@
-//! Sending observations, scans, traversals and sightings, each exactly once.
+//! Sending observations, scans and reports, each exactly once.
 //!
 //! [`Producer`] is the handle for callers. Behind it: [`window`] decides what is sent, kept and dropped, without any
 //! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link` talks

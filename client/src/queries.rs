@@ -22,7 +22,7 @@ pub use grid::{
 };
 pub use places::{PlacePrediction, PlacePredictions, PlaceQuery};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
-pub use predict::{PredictionRun, Predictions};
+pub use predict::{PredictionRun, Predictions, age_nanos};
 pub use reconstruct::Reconstruction;
 pub use surprises::{SurpriseQuery, Surprising};
 pub use tidemap_model::{
@@ -57,7 +57,7 @@ pub struct ModelDescription {
     pub order: u32,
     /// Strongest first; predictions use the first `order`.
     pub components: Vec<SpectralComponent>,
-    /// Decayed sum of errors of each order, by which updates select the order.
+    /// Faded sum of errors of each order, by which updates select the order; in the unit of `model_errors`.
     pub order_errors: Vec<f64>,
     /// Time constant of the persistence.
     pub persistence_tau_secs: f64,
@@ -67,9 +67,10 @@ pub struct ModelDescription {
     pub last_nanos: Option<i64>,
     /// Time of the oldest learned observation.
     pub first_nanos: Option<i64>,
-    /// The selected model, which `auto` uses.
+    /// The model that updates selected: a member of the ensemble, or alone what `auto` predicts with.
     pub chosen: ModelSelector,
-    /// Decayed sums of errors of the models from which updates select.
+    /// Faded sums of squared errors, one for each observation, of the models from which updates select: in the square
+    /// of the unit of the values; with the criterion zero-one, the number of values on the wrong side of 0.5.
     pub model_errors: Vec<(ModelSelector, f64)>,
     /// The local date, YYYY-MM-DD, from which recent errors differ from their history.
     pub change_date: Option<String>,

@@ -209,6 +209,8 @@ pub struct KnownProducer {
     pub is_connected: bool,
     /// When the daemon received the newest of its observations, nanoseconds UTC; `None` where a daemon does not say.
     pub received_nanos: Option<i64>,
+    /// Whether it has given its place up, and has sent nothing since.
+    pub is_forgotten: bool,
 }
 
 /// A job that is being watched.
@@ -295,6 +297,7 @@ impl Client {
                     durable_sequence: known.durable_sequence,
                     is_connected: known.is_connected,
                     received_nanos: instant(known.received_time),
+                    is_forgotten: known.is_forgotten,
                 });
             }
             if page.next_page_token.is_empty() {
@@ -302,6 +305,18 @@ impl Client {
             }
             request.page_token = page.next_page_token;
         }
+    }
+
+    /// Frees the places of a producer that will not come back, with one label or with all. What it has sent stays, and
+    /// keeps its numbers. Returns how many places are free.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map has no such producer, and `FAILED_PRECONDITION` if it streams.
+    pub async fn forget_producer(&self, map: &str, producer: &str, label: Option<&str>) -> Result<u64, Error> {
+        let (map, producer) = (map.to_owned(), producer.to_owned());
+        let request = v1::ForgetProducerRequest { map, producer, label: label.map(str::to_owned) };
+        let answer = self.maintenance_service().forget_producer(request).await;
+        Ok(answer.map_err(|status| self.error(&status))?.into_inner().forgotten)
     }
 
     /// Watches a job until it ends.

@@ -2,7 +2,7 @@
 //!
 //! | where | addition |
 //! | --- | --- |
-//! | [`super::v1::log::FrameKind`] | `W`, an [`Epoch`]; `D`, an [`UpdateDone`] |
+//! | [`super::v1::log::FrameKind`] | `W`, an [`Epoch`]; `D`, an [`UpdateDone`]; `F`, a [`ForgetProducers`] |
 //! | folder of a map | [`FORKS_FOLDER`]: records that the shared log does not have, as segments `POSITION-N.log` |
 //! | folder of a map | [`SHARED_FILE`], of a map of a cluster only: its number there, as 16 hexadecimal digits |
 //!
@@ -21,6 +21,14 @@ pub const SHARED_FILE: &str = "SHARED";
 
 /// Name of the folder of forks.
 pub const FORKS_FOLDER: &str = "forks";
+
+/// Producers that will not come back give their places up.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ForgetProducers {
+    /// Numbers of the producers.
+    #[prost(uint32, repeated, tag = "1")]
+    pub producers: Vec<u32>,
+}
 
 /// A daemon becomes the writer of a shared log.
 #[derive(Clone, PartialEq, prost::Message)]

@@ -84,17 +84,16 @@ const BOUNDS: &[(&str, usize)] = &[
     ("Reading.shares", 64 * READINGS),
     ("RemoveLandmarksRequest.names", 4096),
     ("ReportRequest.readings", READINGS),
+    ("ReportBatch.reports", BATCH),
     ("ScanBatch.new_tiles", 3 * TILES),
     ("ScanBatch.scans", BATCH),
     ("ScanBatch.time_deltas", BATCH),
     ("Sighting.out_of_view", NAMES),
     ("Sighting.seen", NAMES),
-    ("SightingBatch.sightings", 64),
     ("TileScan.masked", POINTS),
     ("TileScan.observed_flips", POINTS),
     ("TileScan.occupied_flips", POINTS),
     ("TileScan.seen", POINTS),
-    ("TraversalBatch.traversals", BATCH),
     ("WatchAnomaliesRequest.states", NAMES),
 ];
 

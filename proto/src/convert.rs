@@ -51,6 +51,7 @@ pub mod sightings;
 pub mod site;
 pub mod state_sensor;
 pub mod task;
+pub mod task_runs;
 pub mod time;
 pub mod topology;
 pub mod traversals;

@@ -173,6 +173,14 @@ impl Caller {
         }
     }
 
+    /// The public part of the caller's token, if there is one.
+    pub(crate) fn token_id(&self) -> Option<&str> {
+        match self {
+            Self::Holder(token) => Some(&token.id),
+            Self::Anybody | Self::Reader | Self::Stranger | Self::Peer => None,
+        }
+    }
+
     /// Whether the caller may do what a role may.
     pub(crate) fn has(&self, role: Role) -> bool {
         match self {

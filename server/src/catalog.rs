@@ -128,8 +128,8 @@ mod restore;
 mod tests;
 
 use restore::open_map;
-pub(crate) use restore::restore_map;
 pub(crate) use restore::share;
+pub(crate) use restore::{restore_map, try_restore};
 
 /// All maps, by name. Clones are handles to the same maps.
 #[derive(Clone, Debug)]

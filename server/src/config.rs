@@ -7,10 +7,13 @@ pub(crate) mod config_text;
 pub(crate) mod instructions;
 mod offline;
 mod protection;
+pub(crate) mod unknown;
+#[cfg(test)]
+mod wrong_values;
 
 use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use clap::Parser;
 use figment::{
     Figment,
@@ -205,6 +208,9 @@ settings! {
         max_tiles_per_map: usize = 200_000, 1, 8_000_000;
         /// Producer keys (producer and label) of a map.
         max_producers_per_map: usize = 10_000, 1, 1_000_000;
+        /// Producer keys of a map that one client has introduced: the holder of a token, or an address without one, but
+        /// for this machine's.
+        max_producers_per_client: usize = 5_000, 1, 1_000_000;
         /// Observations of one message.
         max_batch_observations: usize = 4096, 1, 65_536;
         /// Scans of one message.
@@ -228,11 +234,14 @@ settings! {
         max_connections_per_client: usize = 2048, 1, 1_000_000;
         /// Requests under way, besides streams of observations and watches of anomalies.
         max_requests: usize = 384, 1, 100_000;
-        /// Requests under way of one client address.
+        /// Requests under way of one client: the holder of a token, or an address without one.
         max_requests_per_client: usize = 128, 1, 100_000;
         /// Open streams of observations. Beyond that, the one that was silent for longest makes room, if it was silent
         /// for stream_idle_secs and all that it sent is acknowledged; else the new one is refused.
         max_streams: usize = 1024, 1, 100_000;
+        /// Open streams of observations of one client: the holder of a token, or an address without one, but for this
+        /// machine's. Raise it where a whole fleet has one token or one address.
+        max_streams_per_client: usize = 512, 1, 100_000;
         /// How long a stream of observations was silent before it may make room for another, in seconds. While there is
         /// room, no stream has to end.
         stream_idle_secs: u64 = 60, 1, 31_536_000;
@@ -256,6 +265,9 @@ settings! {
         /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
         /// models of the previous generation.
         max_watches: usize = 64, 1, 100_000;
+        /// Open watches of anomalies of one client: the holder of a token, or an address without one, but for this
+        /// machine's.
+        max_watches_per_client: usize = 16, 1, 100_000;
         /// Size of one recording that is sent to the HTTP port, to be imported, in bytes; 0: none is taken. It lies in
         /// the data folder until it is imported.
         max_upload_bytes: u64 = 4 << 30, 0, 1 << 44;
@@ -334,7 +346,7 @@ impl Settings {
             .merge(of_cluster)
             .merge(Serialized::defaults(flags))
             .extract()
-            .context("settings")?;
+            .map_err(unknown::in_words)?;
         settings.check()?;
         Ok(settings)
     }
@@ -346,6 +358,7 @@ impl Settings {
             certificate: named(&self.tls_certificate)?,
             key: named(&self.tls_key)?,
             client_ca: named(&self.tls_client_ca),
+            advertised: self.cluster.as_ref().and_then(ClusterSettings::tls_host),
         })
     }
 
@@ -363,6 +376,16 @@ impl Settings {
         Ok(())
     }
 
+    /// A name that is none would fit no request, and its page would not be shown.
+    fn check_host_names(&self) -> anyhow::Result<()> {
+        let is_of_name = |character: char| character.is_ascii_alphanumeric() || matches!(character, '-' | '.' | '_');
+        let is_wrong = |name: &&String| name.is_empty() || !name.chars().all(is_of_name);
+        let Some(wrong) = self.http_hosts.iter().find(is_wrong) else { return Ok(()) };
+        bail!(
+            "setting http_hosts has {wrong:?}: it must be a host name without scheme and port, for example maps.example.org"
+        );
+    }
+
     fn check_backups(&self) -> anyhow::Result<()> {
         let folder = &self.backup_dir;
         if folder.as_os_str().is_empty() {
@@ -376,18 +399,32 @@ impl Settings {
         Ok(())
     }
 
+    /// What one stream may buffer fits into what all may.
+    fn check_buffers(&self) -> anyhow::Result<()> {
+        let (one, all, default) = (self.max_stream_buffer_bytes, self.max_buffer_bytes, Self::default());
+        if one > all && one != default.max_stream_buffer_bytes {
+            bail!(
+                "setting max_stream_buffer_bytes is {one}: it must be at most max_buffer_bytes, which is {all} for all \
+                 streams together. Set a larger max_buffer_bytes, too"
+            );
+        }
+        check_range("max_buffer_bytes", all as u64, one as u64, 4 << 30)
+    }
+
     fn check(&self) -> anyhow::Result<()> {
         self.check_ranges()?;
         self.check_tls()?;
         self.check_backups()?;
         instructions::chosen(&self.instruction_set)?;
+        telemetry::check_log_level(&self.log_level)?;
+        self.check_host_names()?;
         self.cluster.as_ref().map_or(Ok(()), |cluster| cluster.check(&self.listen, self.tls_files().is_some()))?;
         if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
             let found = &self.expect_store_id;
             bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
         }
         telemetry::traces::check(&self.otlp_endpoint, self.trace_ratio)?;
-        check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
+        self.check_buffers()?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
             if address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
                 bail!("setting {key} is {address:?}: it must be HOST:PORT, for example 127.0.0.1:7435");
@@ -433,7 +470,7 @@ impl Settings {
 mod tests {
     use super::*;
 
-    fn load(file: &str, flags: Flags) -> Result<Settings, String> {
+    pub(super) fn load(file: &str, flags: Flags) -> Result<Settings, String> {
         let dir = tempfile::tempdir().expect("temporary folder");
         let path = dir.path().join("tidemapd.toml");
         std::fs::write(&path, file).expect("written");
@@ -458,6 +495,12 @@ mod tests {
             ("listen = 'here'", "listen"),
             ("listen = '0.0.0.0:7435'", "allow-insecure-remote"),
             ("log_format = 'xml'", "log_format"),
+            ("log_level = 'inf'", "log_level"),
+            ("log_level = 'tidemapd=inf'", "log_level"),
+            ("log_level = ''", "log_level"),
+            ("http_hosts = ['https://maps.example.org']", "http_hosts"),
+            ("http_hosts = ['maps.example.org:7436']", "http_hosts"),
+            ("http_hosts = ['']", "http_hosts"),
             ("otlp_endpoint = 'localhost:4317'", "otlp_endpoint"),
             ("otlp_endpoint = 'https://collector:4317'", "otlp_endpoint"),
             ("trace_ratio = 1.5", "trace_ratio"),

@@ -3,7 +3,9 @@
 //! Invariant: the number of connections is bounded, in total and per client. A connection that has not made a request
 //! within [`REQUEST_WITHIN`] ends. When a bound is reached, a connection that works on no request makes room: first one
 //! of which no request was served, then one that is idle for long enough. If all are busy, the new one is closed. A
-//! client that only holds connections open, or whose requests are refused, cannot keep others out.
+//! client that only holds connections open, or whose requests are refused, cannot keep others out. On the HTTP port a
+//! connection whose reply nobody reads makes room as an idle one does; and when all are busy, one of the client that
+//! has the most makes room for a client that has few.
 
 use std::{
     collections::HashMap,
@@ -18,15 +20,22 @@ use std::{
 };
 
 pub(crate) mod accept;
+mod certificate;
 pub(crate) mod guard;
+pub(crate) mod http1;
 pub(crate) mod socket;
+mod stall;
 #[cfg(test)]
 mod tests;
 pub(crate) mod tls;
-mod validity;
+pub(crate) mod unread;
 
 /// A connection must make its first request within this time.
 const REQUEST_WITHIN: Duration = Duration::from_secs(5);
+/// A connection whose client takes nothing of its reply for so long may make room for another.
+const STALLED_AFTER: Duration = Duration::from_secs(2);
+/// A client has few connections, if another has more than so many times as many.
+const FEW: usize = 4;
 
 /// Limits of a port's connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,6 +47,10 @@ pub(crate) struct ConnectionLimits {
     /// A connection that works on no request for this long may make room for another.
     pub idle_after: Duration,
 }
+
+/// Limits of the HTTP port. Browsers and scripts connect again where they find an idle connection closed.
+pub(crate) const HTTP_CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
 
 /// Which connections these are, as the metrics name them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,6 +132,8 @@ struct Seat {
     has_request: AtomicBool,
     /// Milliseconds from `opened` to the end of its last request that was served, and one more; 0 if there was none.
     served_after_millis: AtomicU64,
+    /// Milliseconds from `opened` to when its client ceased to take its reply, and one more; 0: it takes it.
+    stalled_after_millis: AtomicU64,
     /// The connection has to make room for another.
     is_displaced: AtomicBool,
     waker: Mutex<Option<Waker>>,
@@ -139,6 +154,11 @@ impl Remote {
         self.0.has_request.store(true, Ordering::Release);
     }
 
+    /// Lets the connection end.
+    fn displace(&self) {
+        self.0.displace();
+    }
+
     /// Keeps the connection busy until it is dropped. `is_served`: the request is of somebody who may ask, so that the
     /// connection counts as one in use afterwards.
     pub(crate) fn busy(&self, is_served: bool) -> Busy {
@@ -157,8 +177,7 @@ pub(crate) struct Busy {
 impl Drop for Busy {
     fn drop(&mut self) {
         if self.is_served {
-            let millis = u64::try_from(self.seat.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
-            self.seat.served_after_millis.store(millis.saturating_add(1), Ordering::Release);
+            self.seat.served_after_millis.store(self.seat.millis_of(Instant::now()), Ordering::Release);
         }
         self.seat.requests.fetch_sub(1, Ordering::AcqRel);
     }
@@ -171,6 +190,13 @@ pub(crate) struct ConnectionSlot {
     seat: Arc<Seat>,
     port: Port,
     open: Arc<Mutex<Open>>,
+}
+
+impl ConnectionSlot {
+    /// The other end.
+    pub(crate) fn remote(&self) -> Remote {
+        Remote(Arc::clone(&self.seat))
+    }
 }
 
 impl Drop for ConnectionSlot {
@@ -196,6 +222,24 @@ impl Seat {
         self.has_request.load(Ordering::Acquire)
     }
 
+    /// A moment as milliseconds since it was opened, and one more.
+    fn millis_of(&self, moment: Instant) -> u64 {
+        let since = moment.saturating_duration_since(self.opened).as_millis();
+        u64::try_from(since).unwrap_or(u64::MAX).saturating_add(1)
+    }
+
+    /// How long ago a moment was that [`Seat::millis_of`] gave; `None` for 0.
+    fn since(&self, millis: &AtomicU64, now: Instant) -> Option<Duration> {
+        let millis = millis.load(Ordering::Acquire).checked_sub(1)?;
+        Some(now.saturating_duration_since(self.opened + Duration::from_millis(millis)))
+    }
+
+    /// Notes since when the client takes nothing of its reply; `None`: it takes it.
+    fn note_stall(&self, since: Option<tokio::time::Instant>) {
+        let millis = since.map_or(0, |since| self.millis_of(since.into_std()));
+        self.stalled_after_millis.store(millis, Ordering::Release);
+    }
+
     fn displace(&self) {
         self.is_displaced.store(true, Ordering::Release);
         if let Some(waker) = lock(&self.waker).take() {
@@ -219,14 +263,15 @@ impl Seat {
     /// Which of two connections makes room first: those of which no request was served, then those idle for longest.
     /// `None`: it is in use.
     fn rank(&self, idle_after: Duration, now: Instant) -> Option<(bool, Duration)> {
-        if self.requests.load(Ordering::Acquire) > 0 {
+        let stalled = self.since(&self.stalled_after_millis, now).filter(|stalled| *stalled >= STALLED_AFTER);
+        if stalled.is_none() && self.requests.load(Ordering::Acquire) > 0 {
             return None;
         }
-        let Some(millis) = self.served_after_millis.load(Ordering::Acquire).checked_sub(1) else {
+        let Some(idle) = self.since(&self.served_after_millis, now) else {
             return Some((true, now.saturating_duration_since(self.opened)));
         };
-        let idle = now.saturating_duration_since(self.opened + Duration::from_millis(millis));
-        (idle >= idle_after).then_some((false, idle))
+        let idle = stalled.unwrap_or(idle);
+        (stalled.is_some() || idle >= idle_after).then_some((false, idle))
     }
 }
 
@@ -261,9 +306,29 @@ impl Connections {
             .filter(|seat| !seat.is_displaced.load(Ordering::Acquire))
             .filter_map(|seat| Some((rank(seat)?, seat)));
         let Some((_, seat)) = ranked.max_by_key(|(rank, _)| *rank) else { return false };
+        self.make_way(seat);
+        true
+    }
+
+    /// Lets the newest connection of the client that has the most make room for a client that has few.
+    fn displace_of_largest(&self, open: &Open, newcomer: Peer) -> bool {
+        if self.port != Port::Http {
+            return false;
+        }
+        let of_newcomer = open.staying(Some(newcomer)) + 1;
+        let largest =
+            open.per_client.keys().map(|peer| (open.staying(Some(*peer)), *peer)).max_by_key(|(count, _)| *count);
+        let Some((_, largest)) = largest.filter(|(count, _)| *count > FEW * of_newcomer) else { return false };
+        let staying =
+            open.seats.iter().filter(|(_, seat)| seat.peer == largest && !seat.is_displaced.load(Ordering::Acquire));
+        let Some((_, seat)) = staying.max_by_key(|(number, _)| **number) else { return false };
+        self.make_way(seat);
+        true
+    }
+
+    fn make_way(&self, seat: &Seat) {
         seat.displace();
         metrics::counter!("tidemap_connections_displaced", "port" => self.port.name()).increment(1);
-        true
     }
 
     /// A slot for a new connection; another connection makes room if it has to. `None` if all others are busy.
@@ -275,7 +340,8 @@ impl Connections {
         let is_full_for_peer = of_peer >= self.limits.per_client && open.staying(Some(peer)) >= self.limits.per_client;
         let has_room = !is_full_for_peer || self.displace(&open, Some(peer), now);
         let is_full = open.seats.len() >= self.limits.total && open.staying(None) >= self.limits.total;
-        if !has_room || (is_full && !self.displace(&open, None, now)) {
+        let gets_room = || self.displace(&open, None, now) || self.displace_of_largest(&open, peer);
+        if !has_room || (is_full && !gets_room()) {
             metrics::counter!("tidemap_connections_refused", "port" => self.port.name()).increment(1);
             return None;
         }
@@ -285,6 +351,7 @@ impl Connections {
             requests: AtomicUsize::new(0),
             has_request: AtomicBool::new(false),
             served_after_millis: AtomicU64::new(0),
+            stalled_after_millis: AtomicU64::new(0),
             is_displaced: AtomicBool::new(false),
             waker: Mutex::new(None),
         });

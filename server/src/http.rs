@@ -2,29 +2,29 @@
 //!
 //! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name. Names of maps
 //! and producers are among the metrics only for those who may list them. Whether the daemon lives and serves is
-//! answered also when all connections of the port are busy: by its reserve.
+//! answered also when all connections of the port are busy: by its reserve. All replies are counted until they are
+//! read.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{io, path::PathBuf, sync::Arc};
 
 use axum::{
-    Router,
-    body::Body,
-    extract::{ConnectInfo, Request},
+    Extension, Router,
+    body::Bytes,
+    extract::{Request, State},
     http::{HeaderValue, StatusCode, header},
-    middleware::{Next, from_fn, map_response},
+    middleware::{Next, from_fn_with_state, map_response},
     response::Response,
     routing::get,
 };
-use http_body_util::BodyExt as _;
 use metrics_exporter_prometheus::PrometheusHandle;
 use tidemap_store::Trouble;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 
 use crate::{
     backups::Schedule,
     catalog::Catalog,
     cluster_figures::figures,
-    connections::{Remote, accept::HttpListener},
+    connections::{Remote, accept::Accepted, http1, unread::UnreadReplies},
     ingest::handle::{MapHandle, OpenProgress},
     rpc::{admission::note_denial, guard::Access, status::RpcError},
     silent_producers::SilentProducers,
@@ -32,6 +32,10 @@ use crate::{
     telemetry::process,
     web::{self, KnownHosts},
 };
+
+mod shared_text;
+
+use shared_text::SharedText;
 
 const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
 
@@ -52,7 +56,7 @@ fn opening(catalog: &Catalog) -> String {
 /// A line for each problem of the storage; whether observations, generations or lists are not kept as they should be.
 fn trouble(catalog: &Catalog) -> (String, bool) {
     let trouble = catalog.context().store.trouble();
-    let serves = |trouble: &Trouble| matches!(trouble, Trouble::NoIndex | Trouble::Damaged { .. });
+    let serves = |trouble: &Trouble| matches!(trouble, Trouble::NoIndex(_) | Trouble::Damaged { .. });
     let is_severe = !trouble.iter().all(serves);
     let mut text: String = trouble.iter().take(TROUBLE_SHOWN).map(|trouble| format!("{trouble}\n")).collect();
     if trouble.len() > TROUBLE_SHOWN {
@@ -114,18 +118,19 @@ fn probes(catalog: Arc<Catalog>, stopping: watch::Receiver<bool>) -> Router {
     Router::new().route("/healthz", get(|| async { "alive\n" })).route("/readyz", get(ready))
 }
 
-/// A connection that works on a request does not make room for another.
-async fn keep_busy(ConnectInfo(remote): ConnectInfo<Remote>, request: Request, next: Next) -> Response {
+/// A connection that works on a request does not make room for another, until its reply is read.
+async fn keep_busy(
+    State(unread): State<UnreadReplies>,
+    Extension(remote): Extension<Remote>,
+    request: Request,
+    next: Next,
+) -> Response {
     remote.note_request();
     // Whether the request is served, admission says.
     let busy = remote.busy(false);
-    let held_by = |body: Body| {
-        body.map_err(move |error| {
-            let _held = &busy;
-            error
-        })
-    };
-    next.run(request).await.map(|body| Body::new(held_by(body)))
+    // One request a turn: many that come at once over one connection do not delay others.
+    tokio::task::yield_now().await;
+    unread.counted(next.run(request).await, &remote, busy).unwrap_or_else(web::no_room)
 }
 
 /// What connections beyond the limits may ask; each has one answer.
@@ -140,67 +145,77 @@ fn reserve(probes: Router) -> Router {
 }
 
 /// Serves the port and its reserve until `stop` becomes true.
-///
-/// # Errors
-/// The listener failed.
 pub(crate) async fn serve(
-    [listener, reserve_listener]: [HttpListener; 2],
+    [connections, in_reserve]: [mpsc::Receiver<io::Result<Accepted>>; 2],
     catalog: Arc<Catalog>,
     metrics: Metrics,
     access: Access,
     web: Router,
     stopping: watch::Receiver<bool>,
     stop: watch::Receiver<bool>,
-) -> anyhow::Result<()> {
+) {
     let probes = probes(Arc::clone(&catalog), stopping);
     let reserve = reserve(probes.clone());
     let router = if web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
-    let router = router.merge(probes).route(
-        "/metrics",
-        get(move |ConnectInfo(remote): ConnectInfo<Remote>, request: Request| {
-            let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
-            let allowed = access.may_read_metrics(request.headers());
-            let may_read_names = metrics.may_read_names(&request);
-            async move {
-                match allowed {
-                    Ok(true) => {}
-                    Ok(false) => return Err(StatusCode::FORBIDDEN),
-                    Err(denial) => {
-                        note_denial(remote.peer(), "/metrics", &RpcError::Denial(denial));
-                        return Err(StatusCode::UNAUTHORIZED);
-                    }
-                }
-                let silent = if may_read_names { metrics.silent.metrics(&catalog).await } else { String::new() };
-                // Sizes and backups are read from the disk.
-                let text = crate::task::blocking(move || {
-                    for (name, value, _) in statistics::of_daemon(&catalog) {
-                        metrics::gauge!(format!("tidemap_{name}")).set(value);
-                    }
-                    let process = process::metrics(&metrics.data_dir);
-                    let context = catalog.context();
-                    let (id, now) = (context.store.store_id(), context.clock.now_nanos());
-                    let backups = metrics.backups.iter().flat_map(|backups| backups.metrics(id, now));
-                    for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process).chain(backups) {
-                        metrics::gauge!(name).set(value);
-                    }
-                    for (name, label, value) in figures(&catalog) {
-                        metrics::gauge!(name, label.as_slice()).set(value);
-                    }
-                    metrics.handle.render() + &silent
-                });
-                text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
-            }
-        }),
-    );
-    let serve = |listener, router: Router| {
-        let mut stop = stop.clone();
-        let stopped = async move {
-            // An error means that the sender is gone, which is a stop as well.
-            let _ = stop.wait_for(|stop| *stop).await;
-        };
-        let router = router.into_make_service_with_connect_info::<Remote>();
-        axum::serve(listener, router).with_graceful_shutdown(stopped).into_future()
+    let page = Arc::new(MetricsPage { catalog, metrics, access, texts: Default::default() });
+    let unread = UnreadReplies::default();
+    let router = router
+        .merge(probes)
+        .route("/metrics", get(metrics_page).with_state(page))
+        .layer(from_fn_with_state(unread, keep_busy));
+    tokio::join!(http1::serve(connections, router, stop.clone()), http1::serve(in_reserve, reserve, stop));
+}
+
+/// What `/metrics` is made of.
+struct MetricsPage {
+    catalog: Arc<Catalog>,
+    metrics: Metrics,
+    access: Access,
+    /// The text without names, and the one with names.
+    texts: [SharedText; 2],
+}
+
+async fn metrics_page(
+    State(page): State<Arc<MetricsPage>>,
+    Extension(remote): Extension<Remote>,
+    request: Request,
+) -> Result<([(header::HeaderName, &'static str); 1], Bytes), StatusCode> {
+    match page.access.may_read_metrics(request.headers()) {
+        Ok(true) => {}
+        Ok(false) => return Err(StatusCode::FORBIDDEN),
+        Err(denial) => {
+            note_denial(remote.peer(), "/metrics", &RpcError::Denial(denial));
+            return Err(StatusCode::UNAUTHORIZED);
+        }
+    }
+    let may_read_names = page.metrics.may_read_names(&request);
+    let gathering = Arc::clone(&page);
+    let silent = async move {
+        if may_read_names { gathering.metrics.silent.metrics(&gathering.catalog).await } else { String::new() }
     };
-    tokio::try_join!(serve(listener, router.layer(from_fn(keep_busy))), serve(reserve_listener, reserve))?;
-    Ok(())
+    let writing = Arc::clone(&page);
+    let text = page.texts[usize::from(may_read_names)].get(silent, move |silent| writing.text() + &silent).await;
+    text.map(|text| ([(header::CONTENT_TYPE, "text/plain; charset=utf-8")], text))
+        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+}
+
+impl MetricsPage {
+    /// All metrics but those of names. Sizes and backups are read from the disk.
+    fn text(&self) -> String {
+        let Self { catalog, metrics, .. } = self;
+        for (name, value, _) in statistics::of_daemon(catalog) {
+            metrics::gauge!(format!("tidemap_{name}")).set(value);
+        }
+        let process = process::metrics(&metrics.data_dir);
+        let context = catalog.context();
+        let (id, now) = (context.store.store_id(), context.clock.now_nanos());
+        let backups = metrics.backups.iter().flat_map(|backups| backups.metrics(id, now));
+        for (name, value) in statistics::of_updates(catalog).into_iter().chain(process).chain(backups) {
+            metrics::gauge!(name).set(value);
+        }
+        for (name, label, value) in figures(catalog) {
+            metrics::gauge!(name, label.as_slice()).set(value);
+        }
+        metrics.handle.render()
+    }
 }

@@ -16,4 +16,5 @@ mod sessions;
 pub(crate) mod tile_totals;
 mod training_data;
 mod update_schedule;
+pub(crate) mod update_turns;
 pub(crate) mod writer;

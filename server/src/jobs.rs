@@ -4,7 +4,7 @@
 //! map keeps its report.
 
 use std::{
-    collections::VecDeque,
+    collections::{HashMap, VecDeque},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
@@ -13,7 +13,11 @@ use std::{
 };
 
 use tidemap_grid::outcome::GridOutcome;
-use tidemap_map::{event::UpdateCause, name::MapName, update::StateOutcome};
+use tidemap_map::{
+    event::UpdateCause,
+    name::{MapName, StateName},
+    update::StateOutcome,
+};
 use tokio::sync::watch;
 
 use crate::telemetry::traces::Span;
@@ -112,16 +116,35 @@ pub(crate) struct UpdateJob {
     /// pointer.
     step: Mutex<Span>,
     // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
-    report: Mutex<Option<Arc<Report>>>,
+    report: Mutex<Option<Arc<UpdateReport>>>,
 }
 
 /// The result of an update.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Report {
+pub(crate) struct UpdateReport {
     /// For all cells of the grid together.
     pub cells: Option<GridOutcome>,
     /// For each state that had observations.
     pub states: Vec<StateOutcome>,
+}
+
+impl UpdateReport {
+    /// The result of two updates, one after the other.
+    fn followed_by(mut self, later: UpdateReport) -> UpdateReport {
+        let mut places: HashMap<StateName, usize> = HashMap::with_capacity(self.states.len());
+        places.extend(self.states.iter().enumerate().map(|(place, state)| (state.name.clone(), place)));
+        for state in later.states {
+            match places.get(&state.name).and_then(|place| self.states.get_mut(*place)) {
+                Some(known) => {
+                    known.outcome.add(&state.outcome);
+                    known.chosen = state.chosen;
+                }
+                None => self.states.push(state),
+            }
+        }
+        self.cells = later.cells.filter(|cells| cells.scans > 0).or(self.cells);
+        self
+    }
 }
 
 impl UpdateJob {
@@ -152,12 +175,14 @@ impl UpdateJob {
         last.end();
     }
 
-    /// Marks the job as running.
-    pub(crate) fn start(&self, states_total: u64, observations: u64) {
+    /// Marks the job as running. A job that runs already has this much more to do.
+    pub(crate) fn start(&self, states: u64, observations: u64) {
         self.status.send_modify(|status| {
-            status.phase = Phase::Running(Instant::now());
-            status.states_total = states_total;
-            status.observations = observations;
+            if status.phase == Phase::Waiting {
+                status.phase = Phase::Running(Instant::now());
+            }
+            status.states_total += states;
+            status.observations += observations;
         });
     }
 
@@ -206,7 +231,7 @@ impl UpdateJob {
     }
 
     /// The result of the update; `None` if a later update of the map has ended since, or something was erased from it.
-    pub(crate) fn report(&self) -> Option<Arc<Report>> {
+    pub(crate) fn report(&self) -> Option<Arc<UpdateReport>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
@@ -266,12 +291,16 @@ impl Jobs {
         job
     }
 
-    /// Stores the report of a job and drops that of the map's previous update.
-    pub(crate) fn set_report(&self, job: &UpdateJob, report: Report) {
+    /// Adds the report of a part of a job and drops that of the map's previous update.
+    pub(crate) fn add_report(&self, job: &UpdateJob, mut report: UpdateReport) {
         for other in self.list().iter().filter(|other| other.map == job.map && other.id != job.id) {
             *other.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
-        *job.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(report));
+        let mut known = job.report.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(earlier) = known.take() {
+            report = UpdateReport::clone(&earlier).followed_by(report);
+        }
+        *known = Some(Arc::new(report));
     }
 
     /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures
@@ -313,7 +342,7 @@ mod tests {
         other.end(Err("no thread".to_owned()));
         let done = jobs.create(map("office"), UpdateCause::Request, 0);
         done.end(Ok((1, 2)));
-        jobs.set_report(&done, Report::default());
+        jobs.add_report(&done, UpdateReport::default());
         jobs.erased(&map("office"), &["anna"]);
         assert!(done.report().is_none());
         let reason = |job: &UpdateJob| match job.status().phase {

@@ -29,6 +29,7 @@ mod repair;
 mod rpc;
 mod scrubber;
 mod secret_file;
+mod shares;
 mod silent_producers;
 mod state_or_cell;
 mod statistics;
@@ -77,6 +78,10 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
             return ExitCode::from(78);
         }
     };
+    let names = std::env::vars_os().filter_map(|(name, _)| name.into_string().ok());
+    for warning in config::unknown::variables(names) {
+        tracing::warn!("{warning}");
+    }
     if let Some(OfflineCommand::Token { command }) = &flags.command {
         return access::token_command::run(command, &settings.tokens_file).unwrap_or_else(|error| {
             eprintln!("tidemapd: {error:#}");

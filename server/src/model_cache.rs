@@ -16,7 +16,9 @@ use std::{
 use tidemap_map::{history::Subject, ids::StateId};
 use tidemap_model::selector::ModelKind;
 use tidemap_store::MapId;
-use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
+use tokio::sync::OnceCell;
+
+use crate::task::NoResult;
 
 mod flows;
 mod places;
@@ -31,7 +33,7 @@ pub(crate) use flows::{FlowKey, train_flow};
 pub(crate) use places::PlaceModel;
 pub(crate) use positions::PositionModel;
 pub(crate) use trained::CachedModel;
-pub(crate) use unavailable::ModelUnavailable;
+pub(crate) use unavailable::{ModelSubject, ModelUnavailable};
 
 /// Identifies a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -67,13 +69,13 @@ type CacheSlot<T> = Arc<CacheEntry<T>>;
 
 /// Counts a request that waits for a model, until it is dropped.
 #[derive(Debug)]
-pub(crate) struct TrainingInterest<T> {
+struct TrainingInterest<T> {
     slot: CacheSlot<T>,
 }
 
 impl<T> TrainingInterest<T> {
     /// For one training of the model: whether nobody waits for it any more.
-    pub(crate) fn training_stop(&self) -> TrainingStop {
+    fn training_stop(&self) -> TrainingStop {
         TrainingStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
     }
 }
@@ -109,7 +111,6 @@ pub(crate) struct ModelCache<T = CachedModel, K = ModelKey> {
     max: usize,
     // A lock, because a lookup changes when a model was last used; never held during training.
     entries: Mutex<CacheEntries<T, K>>,
-    reserved: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
@@ -123,12 +124,8 @@ struct CacheEntries<T, K> {
 impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
     /// Keeps at most `max` models, at least one, besides those that are being trained.
     pub(crate) fn new(max: usize) -> Self {
-        let max = max.clamp(1, Semaphore::MAX_PERMITS);
-        Self {
-            max,
-            entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }),
-            reserved: Arc::new(Semaphore::new(max)),
-        }
+        let max = max.max(1);
+        Self { max, entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }) }
     }
 
     /// The model, if it is kept.
@@ -136,8 +133,36 @@ impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
         self.with_entries(|entries| entries.used(key)?.model.get().cloned())
     }
 
+    /// The model: kept, from a training that is running, or from `train`, which gets when to stop. The training has a
+    /// task of its own: if this request is dropped, others may wait for the same model; it stops when none waits.
+    ///
+    /// # Errors
+    /// The error of the training, or [`NoResult`] if it panicked. Other requests that wait for the model then train it
+    /// themselves.
+    pub(crate) async fn train_once<E, F>(
+        self: &Arc<Self>,
+        key: K,
+        train: impl FnOnce(Arc<TrainingStop>) -> F + Send + 'static,
+    ) -> Result<Arc<T>, E>
+    where
+        T: Send + Sync + 'static,
+        K: Send + Sync + 'static,
+        E: From<NoResult> + Send + 'static,
+        F: Future<Output = Result<T, E>> + Send,
+    {
+        if let Some(model) = self.get(&key) {
+            return Ok(model);
+        }
+        let interest = self.interest(key);
+        let (this, stop) = (Arc::clone(self), Arc::new(interest.training_stop()));
+        let task = crate::task::spawn(async move { this.get_or_train(key, train(stop)).await });
+        let trained = task.await?;
+        drop(interest);
+        trained
+    }
+
     /// Counts a request for a model until the interest is dropped; without any request, the training ends.
-    pub(crate) fn interest(&self, key: K) -> TrainingInterest<T> {
+    fn interest(&self, key: K) -> TrainingInterest<T> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
         slot.waiting.fetch_add(1, Ordering::Relaxed);
         TrainingInterest { slot }
@@ -147,33 +172,13 @@ impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
     ///
     /// # Errors
     /// The error of `training`. Other requests that wait for the model then train it themselves.
-    pub(crate) async fn get_or_train<E>(
-        &self,
-        key: K,
-        training: impl Future<Output = Result<T, E>>,
-    ) -> Result<Arc<T>, E> {
+    async fn get_or_train<E>(&self, key: K, training: impl Future<Output = Result<T, E>>) -> Result<Arc<T>, E> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
         let trained = slot.model.get_or_try_init(|| async { training.await.map(Arc::new) }).await.cloned();
         if trained.is_err() {
             self.with_entries(|entries| entries.forget(&key, &slot));
         }
         trained
-    }
-
-    /// Reserves capacity for this many models, cached or not, for the duration of a request; `None` if all requests
-    /// together would hold more than the maximum.
-    pub(crate) fn reserve(&self, models: usize) -> Option<OwnedSemaphorePermit> {
-        Arc::clone(&self.reserved).try_acquire_many_owned(u32::try_from(models).ok()?).ok()
-    }
-
-    /// How many models requests have reserved.
-    pub(crate) fn reserved(&self) -> usize {
-        self.max.saturating_sub(self.reserved.available_permits())
-    }
-
-    /// Maximum number of models that are cached, and that requests reserve.
-    pub(crate) fn max(&self) -> usize {
-        self.max
     }
 
     fn with_entries<R>(&self, work: impl FnOnce(&mut CacheEntries<T, K>) -> R) -> R {

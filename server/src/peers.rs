@@ -58,8 +58,9 @@ pub(crate) struct PeerTlsFiles {
 
 /// A file of [`PeerTlsFiles`] that cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{} cannot be read: {source}", .path.display())]
+#[error("setting {setting}: {} cannot be read: {source}", .path.display())]
 pub(crate) struct UnreadablePeerTls {
+    setting: &'static str,
     path: PathBuf,
     source: io::Error,
 }
@@ -70,13 +71,14 @@ impl PeerTlsFiles {
     /// # Errors
     /// One cannot be read.
     pub(crate) fn read(&self) -> Result<PeerTls, UnreadablePeerTls> {
-        let read =
-            |path: &Path| std::fs::read(path).map_err(|source| UnreadablePeerTls { path: path.to_owned(), source });
+        let read = |setting, path: &Path| {
+            std::fs::read(path).map_err(|source| UnreadablePeerTls { setting, path: path.to_owned(), source })
+        };
         let identity = match &self.identity {
-            Some((certificate, key)) => Some((read(certificate)?, read(key)?)),
+            Some((certificate, key)) => Some((read("tls_certificate", certificate)?, read("tls_key", key)?)),
             None => None,
         };
-        Ok(PeerTls { ca: read(&self.ca)?, identity })
+        Ok(PeerTls { ca: read("cluster.peer_ca", &self.ca)?, identity })
     }
 }
 

@@ -7,9 +7,10 @@
 use std::{io::Write, path::Path, process::ExitCode};
 
 use tidemap_model::time::format_rfc3339;
-use tidemap_store::{BackupError, Checked, Mode, Outcome, check};
+use tidemap_store::{BackupError, Checked, Mode, Outcome, check_with};
 
 use crate::{
+    catalog::try_restore,
     clock::{Clock as _, SystemClock},
     random_id::random_id,
 };
@@ -21,7 +22,7 @@ pub(crate) fn run_check(directory: &Path, repair: bool, accept_loss: bool) -> Ex
         (true, false) => Mode::Repair,
         (false, false) => Mode::Look,
     };
-    let checked = match check(directory, mode) {
+    let checked = match check_with(directory, mode, &try_restore) {
         Ok(checked) => checked,
         Err(error) => return refuse(&error.to_string(), 2),
     };

@@ -90,7 +90,7 @@ impl SilentProducers {
             of_map.pending = None;
             let Ok(known) = answer else { continue };
             of_map.heard.clear();
-            for mark in known.into_iter().map(|known| known.mark) {
+            for mark in known.into_iter().map(|known| known.mark).filter(|mark| !mark.is_forgotten) {
                 let at = mark.received_nanos;
                 let heard = of_map.heard.entry(mark.key.producer().to_owned()).or_insert(at);
                 *heard = at.max(*heard);

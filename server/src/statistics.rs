@@ -39,6 +39,7 @@ pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle, worth: Option<Update
             ("update_gain", worth.gain(), ""),
         ]);
     }
+    rows.push(("waiting_rows", view.waiting_rows() as f64, ""));
     rows
 }
 
@@ -74,7 +75,7 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
         ("disk_full", count(|trouble| *trouble == Trouble::DiskFull), ""),
         ("maps_not_saved", count(|trouble| matches!(trouble, Trouble::NotSaved { .. })), ""),
         ("damaged_files", count(|trouble| matches!(trouble, Trouble::Damaged { .. })), ""),
-        ("index_unavailable", count(|trouble| *trouble == Trouble::NoIndex), ""),
+        ("index_unavailable", count(|trouble| matches!(trouble, Trouble::NoIndex(_))), ""),
     ]);
     rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));
     rows.extend(of_storage(catalog));
@@ -84,7 +85,7 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
 }
 
 /// Gauges of updates: jobs, their progress, and the age of the generation that is oldest.
-pub(crate) fn of_updates(catalog: &Catalog) -> [(&'static str, f64); 4] {
+pub(crate) fn of_updates(catalog: &Catalog) -> [(&'static str, f64); 6] {
     let jobs = catalog.context().jobs.list();
     let mut progress = 1.0_f64;
     let (mut running, mut waiting) = (0_u32, 0_u32);
@@ -110,6 +111,8 @@ pub(crate) fn of_updates(catalog: &Catalog) -> [(&'static str, f64); 4] {
         ("tidemap_jobs_running", f64::from(running)),
         ("tidemap_jobs_waiting", f64::from(waiting)),
         ("tidemap_job_progress_ratio", progress),
+        ("tidemap_updates_waiting_turn", catalog.context().update_turns.waiting() as f64),
+        ("tidemap_waiting_rows", catalog.all().values().map(|handle| handle.view().waiting_rows() as f64).sum()),
         ("tidemap_generation_age_seconds", catalog.all().values().map(age).fold(0.0, f64::max)),
     ]
 }

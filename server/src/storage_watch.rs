@@ -1,19 +1,22 @@
-//! Looks at the storage once a second: whether the data folder is still ours, and what the health service says.
+//! Looks at the storage once a second: whether the data folder is still ours, what the health service reports, and
+//! whether an index that a full or failing disk had closed can be used again.
 //!
 //! Invariant: a folder or a log that is no longer ours ends the daemon, also while nothing is observed. The health
-//! service says the same as readiness.
+//! service reports the same as readiness. Opening an index delays no look at the folder.
 
 use std::{
     sync::{Arc, Weak},
     time::Duration,
 };
 
+use tidemap_store::{Repair, Store};
 use tokio::{
     sync::{mpsc, watch},
     time::{MissedTickBehavior, interval},
 };
+use tracing::{info, warn};
 
-use crate::{catalog::Catalog, http::readiness, rpc::serve::Health};
+use crate::{catalog::Catalog, http::readiness, rpc::serve::Health, task::Task};
 
 const EVERY: Duration = Duration::from_secs(1);
 
@@ -25,6 +28,7 @@ pub(crate) async fn run(
     fatal: mpsc::UnboundedSender<String>,
 ) {
     let mut was_ready = None;
+    let mut index = None;
     let mut ticks = interval(EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
@@ -37,11 +41,33 @@ pub(crate) async fn run(
         }
         let store = Arc::clone(&catalog.context().store);
         drop(catalog);
+        recover_index(&store, &mut index).await;
         // A disk that hangs delays the next look only.
         if let Ok(Some(error)) = crate::task::blocking(move || store.verify()).await
             && fatal.send(error.to_string()).is_err()
         {
             return;
         }
+    }
+}
+
+/// Starts to open an index again that is not open, unless that is still under way.
+async fn recover_index(store: &Arc<Store>, under_way: &mut Option<Task<()>>) {
+    if let Some(work) = under_way {
+        if tokio::time::timeout(Duration::ZERO, work).await.is_err() {
+            return;
+        }
+        *under_way = None;
+    }
+    if store.is_index_recoverable() {
+        let store = Arc::clone(store);
+        *under_way = Some(crate::task::blocking(move || {
+            for repair in store.recover_index() {
+                match repair {
+                    Repair::IndexRecovered => info!("{repair}"),
+                    repair => warn!("{repair}"),
+                }
+            }
+        }));
     }
 }

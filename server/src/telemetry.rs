@@ -2,12 +2,11 @@
 //!
 //! Invariant: logs go to stderr; stdout is for the line that names the ports.
 
-use anyhow::Context as _;
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use serde::{Deserialize, Serialize};
-use tracing_subscriber::EnvFilter;
 
 pub(crate) mod descriptions;
+mod log_filter;
 pub(crate) mod occasional;
 pub(crate) mod process;
 pub(crate) mod traces;
@@ -31,13 +30,21 @@ pub(crate) enum LogFormat {
 /// # Errors
 /// A filter that cannot be parsed.
 pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
-    let filter = EnvFilter::try_new(level).with_context(|| format!("setting log_level is {level:?}"))?;
+    let filter = log_filter::parse(level)?;
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
     match format {
         LogFormat::Text => builder.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).init(),
         LogFormat::Json => builder.json().flatten_event(true).init(),
     }
     Ok(())
+}
+
+/// Checks a filter of the log.
+///
+/// # Errors
+/// A filter that cannot be parsed, or that nothing of the daemon fits.
+pub(crate) fn check_log_level(level: &str) -> anyhow::Result<()> {
+    log_filter::parse(level).map(drop)
 }
 
 /// Version and, where it is known, commit: what `--version` says.

@@ -8,8 +8,8 @@ use std::sync::Arc;
 
 use axum::{
     Router,
-    extract::Request,
-    middleware::{Next, from_fn, from_fn_with_state},
+    http::StatusCode,
+    middleware::from_fn_with_state,
     response::Response,
     routing::{get, post},
 };
@@ -20,7 +20,7 @@ use tower_http::compression::{CompressionLayer, CompressionLevel, predicate::Siz
 use tower_layer::Layer as _;
 
 use crate::{
-    connections::Remote,
+    connections::unread::{NoRoom, SharedContent},
     rpc::serve::{GuardedQueries, GuardedServices},
 };
 
@@ -33,6 +33,8 @@ mod links;
 mod openapi;
 mod origin;
 mod recordings;
+mod reference;
+mod times;
 
 pub(crate) use assets::has_page;
 pub(crate) use origin::{KnownHosts, is_own};
@@ -64,9 +66,10 @@ pub(crate) fn router(
 ) -> anyhow::Result<Router> {
     let pool = DescriptorPool::decode(DESCRIPTORS)?;
     let openapi = openapi::document(&pool);
+    let reference = reference::router(&openapi)?;
     let grpc_web = GrpcWebLayer::new().layer(services.clone());
     let mut router = Router::new()
-        .route("/api/v1/openapi.json", get(|| async { json::ok(openapi) }))
+        .route("/api/v1/openapi.json", get(|| async { shared(json::ok(openapi)) }))
         .route("/api/v1/{service}/{method}", post(json::call))
         .route("/api/v1/maps/{name}/grid.png", get(links::grid_png))
         .route("/api/v1/maps/{name}/topology.geojson", get(links::topology_geojson));
@@ -88,16 +91,18 @@ pub(crate) fn router(
     Ok(router
         .with_state(gateway)
         .merge(recordings::router(recordings))
-        .layer(from_fn(name_remote))
+        .merge(reference)
         .merge(assets::router())
         .layer(from_fn_with_state(hosts, origin::check)))
 }
 
-/// Admission counts requests by the other end of their connection.
-async fn name_remote(mut request: Request, next: Next) -> Response {
-    if let Some(axum::extract::ConnectInfo(remote)) = request.extensions().get::<axum::extract::ConnectInfo<Remote>>() {
-        let remote = remote.clone();
-        request.extensions_mut().insert(remote);
-    }
-    next.run(request).await
+/// A response whose content all readers share.
+fn shared(mut response: Response) -> Response {
+    response.extensions_mut().insert(SharedContent);
+    response
+}
+
+/// The answer where there is no room for a reply.
+pub(crate) fn no_room(refusal: NoRoom) -> Response {
+    json::failure(StatusCode::TOO_MANY_REQUESTS, "RESOURCE_EXHAUSTED", "UNREAD_REPLIES", &refusal.to_string())
 }

@@ -100,6 +100,7 @@ const PLAYED: &[(&str, &[Played], u32)] = &[
     ("TidemapIndexUnavailable", &[("tidemap_index_unavailable", "0x4 1x40")], 30),
     ("TidemapUpdatesFail", &[("tidemap_update_failures_total", "0x4 1x20")], 10),
     ("TidemapGenerationOld", &[("tidemap_generation_age_seconds", "200000x100")], 90),
+    ("TidemapUpdatesBehind", &[("tidemap_waiting_rows", "0x4 9x60"), ("tidemap_updates_waiting_turn", "0x70")], 40),
     (
         "TidemapSlowAcknowledgements",
         &[

@@ -5,6 +5,7 @@
 
 mod backups;
 mod bit_flips;
+mod erasure_kills;
 mod full_disk;
 mod kill;
 mod planted_fault;

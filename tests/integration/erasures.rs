@@ -68,10 +68,26 @@ fn tell(daemon: &Daemon, create: &[&str], with_people: bool) {
     for days in [0..DAYS - 1, DAYS - 1..DAYS] {
         // Before the door, so that its id changes.
         if with_people {
+            // Tasks whose value the states multiply, the first before there are states.
+            let task = ["task", "add", "home", "greet", "bedside", "--duration", "10m", "--value-state"];
+            let state = if days.start == 0 { "bed-77113" } else { "anna-77113/x" };
+            tidemap(daemon, task.iter().chain(&[state])).table();
             observe(daemon, "people", &people(0..days.end)).table();
             observe(daemon, "beds", &beds(0..days.end)).table();
         }
         observe(daemon, "doors", &door(0..days.end)).table();
+        if with_people {
+            // A location of the states, and a plan that looks there and does the task.
+            tidemap(daemon, ["location", "set", "home", "corner", "bed-77113", "door"]).table();
+            tidemap_reading(
+                daemon,
+                ["topology", "load", "home", "-"],
+                "node bedside\nnode hall\nlink bedside hall 3\n",
+            )
+            .table();
+            let plan = ["day", "home", "--date", "2025-02-01", "--tasks", "--keep", "--start-node", "hall"];
+            tidemap(daemon, plan).table();
+        }
         if days.start == 0 {
             let until = (START_SECS + days.end * 86_400).to_string();
             tidemap(daemon, ["update", "home", "--until", until.as_str()]).table();
@@ -137,6 +153,9 @@ async fn as_if_never_observed(create: &[&str]) {
     tidemap(&daemon, ["erase", "home", "--state", "bed-77113"]).table();
     let left = holding(data.path(), &marks());
     assert!(left.is_empty(), "{left:?}");
+    assert_eq!(tidemap(&daemon, ["location", "list", "home"]).table().column("states"), ["door"]);
+    let plan = tidemap(&daemon, ["plan", "show", "home", "--date", "2025-02-01"]).table();
+    assert!(plan.column("location").contains(&"corner"), "a location is a thing of its own: {:?}", plan.rows);
     assert_eq!(of_door(&daemon).await, of_door(&never).await);
     for folder in ["old", "new"] {
         let folder = saved.path().join(folder);

@@ -89,10 +89,11 @@ pages! {
 
 /// Stands for the command line: shows a table where a reader would see one, which is where the output is not
 /// redirected.
-const TIDEMAP_SCRIPT: &str = r#"#!/bin/sh
-case " $* " in *" --output "*) exec "$TIDEMAP_BUILT" "$@" ;; esac
-if [ /proc/self/fd/1 -ef "$TIDEMAP_SCREEN" ]; then exec "$TIDEMAP_BUILT" "$@" --output table; fi
-exec "$TIDEMAP_BUILT" "$@"
+const PROGRAM_SCRIPT: &str = r#"#!/bin/sh
+program="$TIDEMAP_BUILT/$(basename "$0")"
+case " $* " in *" --output "*) exec "$program" "$@" ;; esac
+if [ /proc/self/fd/1 -ef "$TIDEMAP_SCREEN" ]; then exec "$program" "$@" --output table; fi
+exec "$program" "$@"
 "#;
 
 fn root() -> PathBuf {
@@ -161,9 +162,11 @@ impl Reader {
         let programs = folder.path().join("programs");
         fs::create_dir_all(&programs).expect("a folder for the programs");
         fs::create_dir_all(folder.path().join("work")).expect("a folder to work in");
-        let script = programs.join("tidemap");
-        fs::write(&script, TIDEMAP_SCRIPT).expect("the script can be written");
-        fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("the script can be run");
+        for name in ["tidemap", "tidemap-bench", "tidemap-research"] {
+            let script = programs.join(name);
+            fs::write(&script, PROGRAM_SCRIPT).expect("the script can be written");
+            fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).expect("the script can be run");
+        }
         std::os::unix::fs::symlink(binaries::tidemapd(), programs.join("tidemapd")).expect("a link to the daemon");
         let daemon = Launch::on(&folder.path().join("data")).start();
         Self { folder, daemon }
@@ -206,7 +209,7 @@ impl Reader {
         }
         command.env("PATH", format!("{}:{path}", self.folder.path().join("programs").display()));
         command.env("TIDEMAP_SERVER", &self.daemon.grpc);
-        command.env("TIDEMAP_SCREEN", &screen).env("TIDEMAP_BUILT", binaries::tidemap());
+        command.env("TIDEMAP_SCREEN", &screen).env("TIDEMAP_BUILT", binaries::profile_folder());
         command.env("XDG_CONFIG_HOME", self.folder.path().join("config"));
         let second = file.try_clone().expect("a second handle of the file");
         command.stdin(Stdio::null()).stdout(file).stderr(second);

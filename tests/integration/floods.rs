@@ -26,6 +26,8 @@ use tidemap_tests::{
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
 
+mod unread;
+
 const SOURCES: [Ipv4Addr; 3] = [Ipv4Addr::new(127, 0, 0, 2), Ipv4Addr::new(127, 0, 0, 3), Ipv4Addr::new(127, 0, 0, 4)];
 
 /// A daemon with tokens and a map, and the token of an admin.

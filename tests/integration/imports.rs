@@ -204,6 +204,34 @@ fn what_cannot_be_imported_is_said_and_what_to_do() {
 }
 
 #[test]
+fn names_of_a_recording_do_not_steer_the_terminal() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut bag = Bag::default();
+    let names = ["/door\u{1b}]0;owned\u{7}", "/dr\u{202e}oo", "/door\u{9b}2J", "/door\nerror: all is lost"];
+    for name in names {
+        bag.bool(name, START_NANOS, true);
+        bag.text(&format!("{name}/words"), START_NANOS, "nothing");
+    }
+    let file = written(&folder, "strange.bag", &bag, usize::MAX).display().to_string();
+    for format in ["table", "json", "csv"] {
+        let args = ["--output", format, "import", "room", &file, "--list"];
+        let output = cli::command("127.0.0.1:1", args).output().expect("the command");
+        let [shown, stderr] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        let is_raw = |text: &str| text.contains(['\u{1b}', '\u{7}', '\u{202e}', '\u{9b}']);
+        assert!(stderr.contains(r"/door\u{1b}]0;owned\u{7}") && !is_raw(&stderr), "{stderr:?}");
+        assert!(!stderr.lines().any(|line| line.starts_with("error: all is lost")), "{stderr:?}");
+        // Programs get CSV as it is; JSON has escapes of its own.
+        assert_eq!(is_raw(&shown), format == "csv", "{format}: {shown:?}");
+        if format == "json" {
+            let rows: serde_json::Value = serde_json::from_str(&shown).expect("JSON");
+            let topics: Vec<&str> =
+                rows.as_array().expect("rows").iter().filter_map(|row| row["topic"].as_str()).collect();
+            assert!(names.iter().all(|name| topics.contains(name)), "{topics:?}");
+        }
+    }
+}
+
+#[test]
 fn a_list_needs_no_daemon_and_sends_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = written(&folder, "drive.bag", &drive(3), usize::MAX);

@@ -213,6 +213,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     assert_eq!(words(&daemon, &route).table().rows.len(), 1);
     words(&daemon, "no-go remove office pit").fails(1, &["pit"]);
     words(&daemon, "no-go add office line 0,0:1,1").fails(2, &[]);
+    words(&daemon, "no-go add office tie 0,0:1,1:1,0:0,1").fails(1, &["area \"tie\" cross or touch"]);
 
     let reasons = "from,to,start,end,success,reason\nHall,Lab,1453100000,1453100010,false,stuck\n";
     cli::tidemap_reading(&daemon, ["traverse", "office", "-", "--producer", "r", "--label", "x"], reasons).table();

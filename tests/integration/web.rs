@@ -3,6 +3,7 @@
 
 mod links;
 mod recordings;
+mod reference;
 
 use serde_json::{Value, json};
 use tempfile::tempdir;

@@ -6,7 +6,9 @@ use std::fmt::Write as _;
 
 use tidemap_client::{
     Client,
+    landmarks::PartOfEdge,
     queries::{Blend, ModelKind, ModelSelector},
+    tasks::LocalDay,
 };
 
 use crate::{
@@ -46,6 +48,29 @@ pub async fn all(daemon: &Daemon, producers: &[String]) -> Vec<String> {
             lines.push(model(&client, &name, &state.name).await);
             lines.push(predictions(&client, &name, &state.name).await);
         }
+        lines.push(format!("{name}: {:?}", client.tasks(&name).await));
+        lines.extend(plans(&client, &name).await);
+        lines.extend(landmarks(&client, &name).await);
+    }
+    lines
+}
+
+/// The kept plans of the spring of the feeds.
+async fn plans(client: &Client, map: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    for day in 0..62 {
+        let date = LocalDay::of_civil_nanos((18_687 + day) * 86_400_000_000_000).to_string();
+        let kept = client.kept_plan(map, Some(&date), None).await;
+        lines.extend(kept.ok().map(|(plan, _)| format!("{map} {date}: {plan:?}")));
+    }
+    lines
+}
+
+async fn landmarks(client: &Client, map: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    let places = client.landmark_places(map).await.expect("the map is there").0;
+    for (place, count) in places {
+        lines.push(format!("{map} {place} {count}: {:?}", client.landmarks(map, &place, PartOfEdge::WHOLE).await));
     }
     lines
 }

@@ -30,6 +30,18 @@ pub fn tidemap() -> PathBuf {
     built("tidemap")
 }
 
+/// The load generator.
+#[must_use]
+pub fn tidemap_bench() -> PathBuf {
+    built("tidemap-bench")
+}
+
+/// The experiments.
+#[must_use]
+pub fn tidemap_research() -> PathBuf {
+    built("tidemap-research")
+}
+
 fn built(name: &str) -> PathBuf {
     let path = profile_folder().join(name);
     assert!(

@@ -1,11 +1,13 @@
 //! Certificates for tests, made anew by each test: authorities, and what they sign for daemons and clients.
 //!
-//! Invariant: a certificate names this machine (`localhost`, 127.0.0.1), and its files are its owner's alone.
+//! Invariant: a certificate names this machine (`localhost`, 127.0.0.1) where no other names are asked for, and its
+//! files are its owner's alone.
 
 use std::{
     fs,
     os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use rcgen::{
@@ -13,6 +15,14 @@ use rcgen::{
     date_time_ymd,
 };
 use tidemap_client::{Client, connection::Credentials};
+use tokio_rustls::{
+    TlsConnector,
+    rustls::{
+        ClientConfig, RootCertStore, SupportedProtocolVersion,
+        crypto::ring,
+        pki_types::{CertificateDer, pem::PemObject as _},
+    },
+};
 
 use crate::daemon::Daemon;
 
@@ -43,6 +53,24 @@ pub enum Validity {
     NotYet,
 }
 
+/// Which side of a connection a certificate is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Servers and clients.
+    Both,
+    /// Clients only.
+    Clients,
+}
+
+/// What an authority of a name is made of.
+fn authority(name: &str) -> (CertificateParams, KeyPair) {
+    let mut params = CertificateParams::new(Vec::<String>::new()).expect("parameters");
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::DigitalSignature];
+    (params, KeyPair::generate().expect("a key"))
+}
+
 impl Authority {
     /// A new one.
     ///
@@ -50,12 +78,19 @@ impl Authority {
     /// If the certificate cannot be made.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        let mut params = CertificateParams::new(Vec::<String>::new()).expect("parameters");
-        params.distinguished_name.push(DnType::CommonName, name);
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::DigitalSignature];
-        let key = KeyPair::generate().expect("a key");
+        let (params, key) = authority(name);
         let pem = params.self_signed(&key).expect("a certificate").pem();
+        Self { issuer: Issuer::new(params, key), pem }
+    }
+
+    /// An authority between this one and a daemon.
+    ///
+    /// # Panics
+    /// If the certificate cannot be made.
+    #[must_use]
+    pub fn below(&self, name: &str) -> Self {
+        let (params, key) = authority(name);
+        let pem = params.signed_by(&key, &self.issuer).expect("a certificate").pem();
         Self { issuer: Issuer::new(params, key), pem }
     }
 
@@ -71,9 +106,21 @@ impl Authority {
     /// If it cannot be made.
     #[must_use]
     pub fn sign(&self, validity: Validity) -> Pair {
-        let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
+        self.sign_for(validity, &["localhost", "127.0.0.1"], Purpose::Both)
+    }
+
+    /// A certificate for these names and addresses, and for this side of a connection.
+    ///
+    /// # Panics
+    /// If it cannot be made.
+    #[must_use]
+    pub fn sign_for(&self, validity: Validity, names: &[&str], purpose: Purpose) -> Pair {
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
         let mut params = CertificateParams::new(names).expect("parameters");
-        params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
+        params.extended_key_usages = match purpose {
+            Purpose::Both => vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth],
+            Purpose::Clients => vec![ExtendedKeyUsagePurpose::ClientAuth],
+        };
         let years = match validity {
             Validity::Years => (2020, 2120),
             Validity::Ended => (2019, 2020),
@@ -83,6 +130,21 @@ impl Authority {
         let key = KeyPair::generate().expect("a key");
         let certificate = params.signed_by(&key, &self.issuer).expect("a certificate").pem();
         Pair { certificate, key: key.serialize_pem() }
+    }
+
+    /// What opens TLS connections of this version to those who have a certificate of this authority.
+    ///
+    /// # Panics
+    /// If TLS cannot be set up.
+    #[must_use]
+    pub fn connector(&self, version: &'static SupportedProtocolVersion) -> TlsConnector {
+        let mut roots = RootCertStore::empty();
+        roots.add(CertificateDer::from_pem_slice(self.pem().as_bytes()).expect("PEM")).expect("a certificate");
+        let builder = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()));
+        let builder = builder.with_protocol_versions(&[version]).expect("a version");
+        let mut config = builder.with_root_certificates(roots).with_no_client_auth();
+        config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
+        TlsConnector::from(Arc::new(config))
     }
 
     /// A client of a daemon with TLS, that trusts this authority and presents a certificate, if there is one.
@@ -99,6 +161,13 @@ impl Authority {
 }
 
 impl Pair {
+    /// This certificate with that of an authority behind it in the file.
+    #[must_use]
+    pub fn with(mut self, issuer: &Authority) -> Self {
+        self.certificate.push_str(&issuer.pem);
+        self
+    }
+
     /// Writes it to `daemon.pem` and `daemon.key` of a folder.
     ///
     /// # Panics

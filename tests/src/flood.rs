@@ -17,9 +17,14 @@ use tokio::{
     net::{TcpSocket, TcpStream},
     task::JoinSet,
 };
+use tokio_rustls::rustls::{pki_types::ServerName, version};
+
+use crate::certificates::Authority;
 
 /// Something that is silent for so long says nothing more for now.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
+/// A connection that is not read is held for so long.
+const HELD_FOR: Duration = Duration::from_secs(5);
 /// A client waits for so long for an answer, if it waits.
 const ANSWER_WITHIN: Duration = Duration::from_secs(60);
 
@@ -30,6 +35,8 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(60);
 pub async fn connect_from(source: Ipv4Addr, address: &str) -> std::io::Result<TcpStream> {
     let address: SocketAddr = address.parse().expect("HOST:PORT of loopback");
     let socket = TcpSocket::new_v4()?;
+    // What is not read stays at the other end.
+    socket.set_recv_buffer_size(16 << 10)?;
     socket.bind(SocketAddr::from((source, 0)))?;
     socket.connect(address).await
 }
@@ -61,6 +68,22 @@ pub fn call_headers(stream: u32, path: &str, is_whole: bool) -> Vec<u8> {
     let length = u32::try_from(block.len()).expect("short").to_be_bytes();
     let flags = if is_whole { 0x05 } else { 0x04 };
     [&length[1..], &[1, flags], &stream.to_be_bytes(), &block].concat()
+}
+
+/// Asks for a path so many times over one connection of HTTP/2, whose replies may send nothing: their window is 0.
+///
+/// # Panics
+/// If the path is long.
+#[must_use]
+pub fn gets_without_window(path: &str, count: u32) -> Vec<u8> {
+    let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".as_slice();
+    let settings = [0, 0, 6, 4, 0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0];
+    let length = u8::try_from(path.len()).expect("short");
+    // Indexed: GET and http; then the path and the authority by the index of their names.
+    let block = [&[0x82, 0x86, 0x04, length], path.as_bytes(), &[0x01, 9], b"localhost"].concat();
+    let size = u32::try_from(block.len()).expect("short").to_be_bytes();
+    let get = |number: u32| [&size[1..], &[1, 0x05], &(2 * number + 1).to_be_bytes(), &block].concat();
+    [preface, &settings].concat().into_iter().chain((0..count).flat_map(get)).collect()
 }
 
 /// Reads what there is, until the other end is silent. `false`: it has closed the connection.
@@ -154,6 +177,57 @@ impl Flood {
                     let code = answer.get(9..12).and_then(|code| std::str::from_utf8(code).ok()?.parse::<u16>().ok());
                     answers.lock().unwrap_or_else(PoisonError::into_inner).extend(code);
                     rounds.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        })
+    }
+
+    /// Sends bytes on so many connections and reads nothing. Each is held for some seconds, and opened again.
+    #[must_use]
+    pub fn unread(address: &str, bytes: Vec<u8>, (sources, each): (&[Ipv4Addr], usize)) -> Self {
+        let (address, bytes) = (address.to_owned(), Arc::new(bytes));
+        Self::start(sources, each, |source, rounds, _| {
+            let (address, bytes) = (address.clone(), Arc::clone(&bytes));
+            async move {
+                loop {
+                    if let Ok(mut socket) = connect_from(source, &address).await {
+                        // A daemon that waits for its reader does not read either.
+                        let _ = tokio::time::timeout(SILENT_AFTER, socket.write_all(&bytes)).await;
+                        rounds.fetch_add(1, Ordering::Relaxed);
+                        tokio::time::sleep(HELD_FOR).await;
+                    }
+                    tokio::time::sleep(SILENT_AFTER).await;
+                }
+            }
+        })
+    }
+
+    /// As [`Flood::unread`], with TLS by a certificate of this authority.
+    ///
+    /// # Panics
+    /// If TLS cannot be set up.
+    #[must_use]
+    pub fn unread_tls(
+        address: &str,
+        authority: &Authority,
+        bytes: Vec<u8>,
+        (sources, each): (&[Ipv4Addr], usize),
+    ) -> Self {
+        let (address, bytes, connector) = (address.to_owned(), Arc::new(bytes), authority.connector(&version::TLS13));
+        let name = ServerName::try_from("localhost").expect("a name");
+        Self::start(sources, each, |source, rounds, _| {
+            let (address, bytes) = (address.clone(), Arc::clone(&bytes));
+            let (connector, name) = (connector.clone(), name.clone());
+            async move {
+                loop {
+                    if let Ok(socket) = connect_from(source, &address).await
+                        && let Ok(mut socket) = connector.connect(name.clone(), socket).await
+                    {
+                        let _ = tokio::time::timeout(SILENT_AFTER, socket.write_all(&bytes)).await;
+                        rounds.fetch_add(1, Ordering::Relaxed);
+                        tokio::time::sleep(HELD_FOR).await;
+                    }
+                    tokio::time::sleep(SILENT_AFTER).await;
                 }
             }
         })

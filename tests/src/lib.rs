@@ -23,6 +23,7 @@ pub mod oracle;
 pub mod raw_calls;
 pub mod recordings;
 pub mod rounds;
+pub mod stored_kinds;
 pub mod stream;
 pub mod tokens;
 pub mod web;

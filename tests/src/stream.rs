@@ -59,6 +59,26 @@ impl RawStream {
         Ok(Self { requests: Some(requests), replies, names_sent: 0 })
     }
 
+    /// Opens a stream over the connection of a client, which may have a token, and sends a Hello.
+    ///
+    /// # Errors
+    /// The status with which the stream ended instead.
+    ///
+    /// # Panics
+    /// If the answer is not a Welcome.
+    pub async fn open_as(client: &tidemap_client::Client, hello: Hello) -> Result<Self, Status> {
+        let (requests, outgoing) = mpsc::channel(64);
+        let mut service = ObservationServiceClient::new(client.requests());
+        let replies = service.observe(ReceiverStream::new(outgoing)).await?.into_inner();
+        let mut stream = Self { requests: Some(requests), replies, names_sent: 0 };
+        stream.say(observe_request::Message::Hello(hello)).await;
+        match stream.reply().await {
+            Ok(Message::Welcome(_)) => Ok(stream),
+            Ok(other) => panic!("a Welcome should come first, not {other:?}"),
+            Err(ended) => Err(ended.error()),
+        }
+    }
+
     /// Opens a stream and sends a Hello.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use std::{
 };
 
 /// Folder, package, and the workspace's packages that it may depend on.
-const CRATES: [(&str, &str, &[&str]); 18] = [
+const CRATES: [(&str, &str, &[&str]); 20] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
     ("server/grid", "tidemap-grid", &["tidemap-model"]),
@@ -42,26 +42,48 @@ const CRATES: [(&str, &str, &[&str]); 18] = [
     ),
     ("client", "tidemap-client", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto"]),
     (
+        "client/bench",
+        "tidemap-bench",
+        &[
+            "tidemap-cli",
+            "tidemap-client",
+            "tidemap-formats",
+            "tidemap-model",
+            "tidemap-proto",
+            "tidemap-sim",
+            "tidemap-terminal",
+        ],
+    ),
+    (
         "client/cli",
         "tidemap",
         &[
             "tidemap-client",
-            "tidemap-experiment",
             "tidemap-formats",
             "tidemap-model",
             "tidemap-proto",
             "tidemap-recordings",
             "tidemap-sim",
+            "tidemap-terminal",
         ],
-    ),
-    (
-        "client/experiment",
-        "tidemap-experiment",
-        &["tidemap-formats", "tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-sim"],
     ),
     ("client/formats", "tidemap-formats", &["tidemap-map", "tidemap-model", "tidemap-picture"]),
     ("client/recordings", "tidemap-recordings", &[]),
     ("client/sim", "tidemap-sim", &[]),
+    ("client/terminal", "tidemap-terminal", &["tidemap-formats"]),
+    (
+        "research",
+        "tidemap-research",
+        &[
+            "tidemap-formats",
+            "tidemap-grid",
+            "tidemap-map",
+            "tidemap-model",
+            "tidemap-plan",
+            "tidemap-sim",
+            "tidemap-terminal",
+        ],
+    ),
     ("tests", "tidemap-tests", &["tidemap-client", "tidemap-cluster", "tidemap-proto", "tidemap-sim", "tidemap-store"]),
     // The daemon on a disk with a planted fault. Nothing depends on it.
     ("tests/planted_fault", "tidemapd-planted-fault", &["tidemapd", "tidemap-store"]),
@@ -275,10 +297,10 @@ fn libraries_stay_where_they_belong() {
             let may_tonic = path.starts_with("proto/")
                 || path.starts_with("server/src/rpc")
                 || path.starts_with("server/src/web")
-                || matches!(*folder, "client" | "client/cli");
+                || matches!(*folder, "client" | "client/bench" | "client/cli");
             if !may_tonic && names(&code, "tonic") {
                 broken.push(format!(
-                    "{path}: names tonic; only proto, server/src/{{rpc,web}}*, client and client/cli may"
+                    "{path}: names tonic; only proto, server/src/{{rpc,web}}*, client, client/bench and client/cli may"
                 ));
             }
             if !matches!(*folder, "server/store" | "migrations") && names(&code, "sled") {

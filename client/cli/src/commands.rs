@@ -4,30 +4,29 @@
 
 mod anomalies;
 mod backup;
-mod bench;
 mod classify;
 mod cluster;
 mod command_texts;
+pub(crate) mod connection;
 mod day;
 mod erase;
 mod evaluate;
-#[cfg(feature = "experiment")]
-mod experiment;
 mod export;
-mod files;
+pub(crate) mod files;
 mod foxglove;
 mod grid;
 mod help;
 mod import;
 mod info;
-mod job;
+pub(crate) mod job;
 mod landmark;
 mod location;
-mod map;
+pub(crate) mod map;
 mod measure;
 mod model;
 mod no_go;
 mod observe;
+pub(crate) mod office_scans;
 mod open;
 mod point;
 mod position;
@@ -46,8 +45,8 @@ mod slot;
 mod state;
 mod stats;
 mod task;
-mod times;
-mod topology;
+pub(crate) mod times;
+pub(crate) mod topology;
 mod topology_picture;
 mod topology_reachable;
 mod tour;
@@ -55,40 +54,15 @@ mod traverse;
 mod update;
 mod visit;
 
-pub(crate) use bench::record_office;
 pub(crate) use cluster::ClusterLost;
+pub(crate) use connection::{ConnectionArgs, Session};
+pub(crate) use tidemap_terminal::failure::{UsageError, usage};
 
-use std::{
-    fs,
-    io::{BufWriter, Stdout},
-    path::PathBuf,
-    process::ExitCode,
-    time::Duration,
-};
+use std::{path::PathBuf, process::ExitCode};
 
-use anyhow::Context as _;
 use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use tidemap_client::{Client, connection::Credentials};
 
-use crate::{
-    demo,
-    output::{self, TimeArg, default_format, format_parser},
-};
-use tidemap_formats::table::{self, Cell, Format, TableWriter, TimeStyle};
-use tidemap_model::Zone;
-
-/// Heading of the options that every command has.
-const GLOBAL: &str = "Options of every command";
-
-/// A command whose arguments are valid one by one, but not together.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct UsageError(pub(crate) String);
-
-/// A [`UsageError`] as the error of a command.
-fn usage(text: impl Into<String>) -> anyhow::Error {
-    UsageError(text.into()).into()
-}
+use crate::demo;
 
 /// A map that knows when things change.
 ///
@@ -97,27 +71,8 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 #[derive(Debug, Parser)]
 #[command(name = "tidemap", version = env!("TIDEMAP_VERSION"), max_term_width = 110, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
-    /// Address of the daemon, HOST:PORT, http://HOST:PORT, https://HOST:PORT or unix:PATH
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
-    server: String,
-    /// File that holds the token to present to the daemon
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TOKEN_FILE", value_name = "FILE")]
-    token_file: Option<PathBuf>,
-    /// Certificates of the authorities that the daemon's certificate may come from (PEM); https:// needs them
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CA", value_name = "FILE")]
-    tls_ca: Option<PathBuf>,
-    /// Certificate of this client (PEM), for a daemon that asks for one
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CERT", value_name = "FILE", requires = "tls_key")]
-    tls_cert: Option<PathBuf>,
-    /// Private key of --tls-cert (PEM)
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
-    tls_key: Option<PathBuf>,
-    /// Format of the results [default: table on a terminal, csv otherwise]
-    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
-    output: Option<Format>,
-    /// How tables show times; CSV and JSON always have Unix seconds
-    #[arg(id = "time_style", long = "time", global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "STYLE", default_value = "local")]
-    time: TimeArg,
+    #[command(flatten)]
+    connection: ConnectionArgs,
     #[command(subcommand)]
     command: Command,
 }
@@ -125,7 +80,7 @@ pub(crate) struct CommandLine {
 impl CommandLine {
     /// Whether results and errors are JSON.
     pub(crate) fn prints_json(&self) -> bool {
-        self.output == Some(Format::Json)
+        self.connection.prints_json()
     }
 }
 
@@ -194,7 +149,7 @@ enum Command {
     /// Predicts states at any time, past or future
     ///
     /// Rows are in the order of the states, then of the times. Give the times with --at, --times, or --from, --to and
-    /// --step; the time of --to is not included. age_secs is the time since the newest observation.
+    /// --step; the time of --to is not included. age_secs is the time since the newest observation, 0 before it.
     Predict(predict::PredictArgs),
     /// Predicts where something will be, as probabilities of places
     ///
@@ -328,16 +283,6 @@ enum Command {
     /// Shows and operates a cluster: daemons that share the logs of their maps
     #[command(subcommand)]
     Cluster(cluster::ClusterCommand),
-    /// Compares temporal models on recordings, by a protocol, without a daemon
-    ///
-    /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
-    /// on the training data, and the baseline model. The comparison goes to stdout; tables, predictions and a picture
-    /// go to the folder that the protocol names.
-    #[cfg(feature = "experiment")]
-    Experiment(experiment::ExperimentArgs),
-    /// Measures a running daemon under load
-    #[command(subcommand)]
-    Bench(bench::BenchCommand),
     /// Writes sample data into a folder, and the commands to try with it
     Sample(sample::SampleArgs),
     /// Prints the JSON schema of what a command prints with --output json, or that of all commands
@@ -354,85 +299,13 @@ enum Command {
     ManPages(command_texts::ManPagesArgs),
 }
 
-/// The context of a command.
-pub(crate) struct Session {
-    pub(crate) client: Client,
-    pub(crate) format: Format,
-    pub(crate) times: TimeStyle,
-}
-
-impl Session {
-    /// Prints rows to stdout, the result of a command that succeeded.
-    pub(crate) fn print(
-        &self,
-        columns: &[&str],
-        rows: impl IntoIterator<Item = Vec<Cell>>,
-    ) -> anyhow::Result<ExitCode> {
-        table::write_rows_at(self.format, &self.times, columns, rows, output::stdout())?;
-        Ok(ExitCode::SUCCESS)
-    }
-
-    /// Prints one row; in a table each value has a line.
-    pub(crate) fn print_one(&self, columns: &[&str], row: Vec<Cell>) -> anyhow::Result<ExitCode> {
-        if self.format != Format::Table {
-            return self.print(columns, [row]);
-        }
-        table::write_upright(&self.times, columns, &row, output::stdout())?;
-        Ok(ExitCode::SUCCESS)
-    }
-
-    /// A result on stdout, for rows that come one by one.
-    pub(crate) fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
-        TableWriter::new(self.format, columns, output::stdout()).with_times(&self.times)
-    }
-}
-
-/// What the command line says that the client proves, and asks of the daemon.
-fn credentials(line: &CommandLine) -> anyhow::Result<Credentials> {
-    let read = |what: &str, path: &Option<PathBuf>| {
-        let bytes = path.as_ref().map(|path| fs::read(path).with_context(|| format!("{what} {}", path.display())));
-        bytes.transpose()
-    };
-    let token = match read("token file", &line.token_file)? {
-        // The bytes are not shown, even if they are no text.
-        Some(bytes) => {
-            Some(String::from_utf8(bytes).map_err(|_| usage("the token file holds no text"))?.trim().to_owned())
-        }
-        None => None,
-    };
-    let identity = read("certificate", &line.tls_cert)?.zip(read("key", &line.tls_key)?);
-    Ok(Credentials { token, ca: read("certificates", &line.tls_ca)?, identity })
-}
-
-/// The zone of a map may take so long to ask for; without it, times are UTC.
-const ZONE_WITHIN: Duration = Duration::from_secs(2);
-
-/// How the tables of a command show times.
-async fn time_style(client: &Client, format: Format, time: TimeArg, subject: &Subject) -> TimeStyle {
-    match (time, &subject.map) {
-        (TimeArg::Unix, _) => TimeStyle::Unix,
-        (TimeArg::Ns, _) => TimeStyle::Nanos,
-        (TimeArg::Local, Some(map)) if format == Format::Table || subject.is_drawn => {
-            // What is wrong with the map or the daemon is for the command to say.
-            let map = tokio::time::timeout(ZONE_WITHIN, client.map(map)).await;
-            let zone = map.ok().and_then(Result::ok).and_then(|map| Zone::named(&map.time_zone).ok());
-            TimeStyle::Clock(zone.unwrap_or_else(Zone::utc))
-        }
-        (TimeArg::Local | TimeArg::Utc, _) => TimeStyle::Clock(Zone::utc()),
-    }
-}
-
 /// Runs a command.
 pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
     if let Command::Sample(args) = &line.command {
-        return sample::run(args, line.output.unwrap_or_else(default_format));
-    }
-    #[cfg(feature = "experiment")]
-    if let Command::Experiment(args) = line.command {
-        return experiment::run(args, line.output.unwrap_or_else(default_format));
+        return sample::run(args, line.connection.format());
     }
     match &line.command {
         Command::Schema(args) => return schema::run(args),
@@ -440,15 +313,12 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::ManPages(args) => return command_texts::man_pages(args),
         _ => {}
     }
-    let credentials = credentials(&line)?;
-    let client = Client::with_credentials(&line.server, &credentials);
-    let client = client.map_err(|error| UsageError(error.to_string()))?;
+    let credentials = line.connection.credentials()?;
+    let session = Session::new(&line.connection, &credentials)?;
     if let Command::Open(args) = &line.command {
-        return open::run(&client, args, &line.server).await;
+        return open::run(&session.client, args, line.connection.server()).await;
     }
-    let format = line.output.unwrap_or_else(default_format);
-    let times = time_style(&client, format, line.time, subject).await;
-    let session = Session { client, format, times };
+    let session = session.with_times_of(&line.connection, subject).await;
     match line.command {
         Command::Map(command) => map::run(&session, command).await,
         Command::State(command) => state::run(&session, command).await,
@@ -489,10 +359,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Erase(args) => erase::run(&session, &args).await,
         Command::Cluster(command) => cluster::run(&session, &credentials, command).await,
-        Command::Bench(command) => bench::run(&session, &credentials, &command).await,
         // Handled above.
-        #[cfg(feature = "experiment")]
-        Command::Experiment(_) => Ok(ExitCode::SUCCESS),
         Command::Demo(_)
         | Command::Open(_)
         | Command::Completions(_)

@@ -1,94 +1,9 @@
 //! `tidemap`, the command line.
 //!
-//! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or
-//! a refusal, 2 after a usage error and for a cluster that is lost, 130 after Ctrl-C.
+//! Invariant: the library has all of it.
 
-mod commands;
-mod demo;
-mod output;
-mod progress;
-
-use std::{io, process::ExitCode};
-
-use commands::{ClusterLost, UsageError};
+use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let (command_line, subject) = match commands::parse() {
-        Ok(parsed) => parsed,
-        Err(error) => return not_parsed(&error),
-    };
-    let as_json = command_line.prints_json();
-    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start"), as_json),
-    };
-    let code = runtime.block_on(commands::run(command_line, &subject)).unwrap_or_else(|error| failed(&error, as_json));
-    // A thread may still wait for stdin; do not wait for it.
-    runtime.shutdown_background();
-    code
-}
-
-/// Answers a command line that is wrong or asks for help.
-fn not_parsed(error: &clap::Error) -> ExitCode {
-    let arguments: Vec<String> = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect();
-    if !error.use_stderr() || !commands::ask_for_json(&arguments) {
-        error.exit();
-    }
-    let text = error.to_string();
-    let message = text.split("\n\nUsage:").next().unwrap_or_default();
-    let message = message.trim_start_matches("error: ").split_whitespace().collect::<Vec<_>>().join(" ");
-    failed(&anyhow::Error::new(UsageError(message)), true)
-}
-
-/// Reports an error in one line, as JSON where results are JSON. A closed stdout is no error: its reader has stopped
-/// reading on purpose.
-fn failed(error: &anyhow::Error, as_json: bool) -> ExitCode {
-    let broken_pipe = |cause: &(dyn std::error::Error + 'static)| {
-        cause.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
-    };
-    if error.chain().any(broken_pipe) {
-        return ExitCode::SUCCESS;
-    }
-    let is_usage = error.is::<UsageError>();
-    let line = if as_json { json_of(error, is_usage) } else { format!("error: {error:#}") };
-    progress::status_line(&line);
-    if is_usage || error.is::<ClusterLost>() { ExitCode::from(2) } else { ExitCode::FAILURE }
-}
-
-/// `{"error":{"code":…,"message":…}}`: the code of the daemon's status, UNAVAILABLE if it cannot be reached,
-/// UNAUTHENTICATED if it does not take the client's certificate, USAGE for a wrong command line, else FAILED.
-fn json_of(error: &anyhow::Error, is_usage: bool) -> String {
-    let code = match error.downcast_ref::<tidemap_client::Error>() {
-        Some(tidemap_client::Error::Unreachable { .. }) => "UNAVAILABLE".to_owned(),
-        Some(tidemap_client::Error::ClientCertificate { .. }) => "UNAUTHENTICATED".to_owned(),
-        Some(error) => error.code().map_or("FAILED".to_owned(), |code| screaming(&format!("{code:?}"))),
-        None if is_usage => "USAGE".to_owned(),
-        None => "FAILED".to_owned(),
-    };
-    serde_json::json!({ "error": { "code": code, "message": format!("{error:#}") } }).to_string()
-}
-
-/// `NotFound` as `NOT_FOUND`.
-fn screaming(name: &str) -> String {
-    let mut text = String::new();
-    for letter in name.chars() {
-        if letter.is_ascii_uppercase() && !text.is_empty() {
-            text.push('_');
-        }
-        text.push(letter.to_ascii_uppercase());
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_error_as_json_has_its_code_and_message() {
-        assert_eq!(["NotFound", "Unavailable"].map(screaming), ["NOT_FOUND", "UNAVAILABLE"]);
-        let usage = anyhow::Error::new(UsageError("--ratio 2: \"too\" much".to_owned()));
-        assert_eq!(json_of(&usage, true), r#"{"error":{"code":"USAGE","message":"--ratio 2: \"too\" much"}}"#);
-        assert!(json_of(&anyhow::anyhow!("no file"), false).contains(r#""code":"FAILED""#));
-    }
+    tidemap_cli::main()
 }

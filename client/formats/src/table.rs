@@ -1,15 +1,21 @@
 //! Tables of results: aligned columns for people, CSV and JSON for programs.
 //!
 //! Invariant: programs get all columns, numbers in full, and times and durations in seconds. The aligned form is for
-//! people: it rounds, shows times and durations as people read them, and leaves out columns that say nothing.
+//! people: it rounds, shows times and durations as people read them, and leaves out columns that say nothing. Neither
+//! it nor JSON has an unprintable character of a text; CSV has texts as they are.
 
 pub mod numbers;
 mod times;
 
-use std::io::{self, Write};
+use std::{
+    borrow::Cow,
+    io::{self, Write},
+};
 
 use comfy_table::{CellAlignment, Table, presets};
 use tidemap_model::time::format_secs;
+
+pub use tidemap_map::name::printable;
 
 pub use times::{TimeStyle, offset_text};
 
@@ -107,7 +113,7 @@ impl Cell {
             Self::Number(number) => numbers::number(*number),
             Self::Secs(nanos) => numbers::period(*nanos as f64 / 1e9),
             Self::Flag(flag) => if *flag { "yes" } else { "no" }.to_owned(),
-            _ => self.exact(),
+            _ => printable(&self.exact()).into_owned(),
         }
     }
 
@@ -115,7 +121,7 @@ impl Cell {
     pub fn json(&self) -> String {
         match self {
             Self::Empty => "null".to_owned(),
-            Self::Text(text) => serde_json::Value::from(text.as_str()).to_string(),
+            Self::Text(text) => json_text(text),
             Self::Number(number) if !number.is_finite() => "null".to_owned(),
             Self::List(cells) => format!("[{}]", cells.iter().map(Cell::json).collect::<Vec<_>>().join(",")),
             _ => self.exact(),
@@ -187,7 +193,7 @@ pub fn write_upright<W: Write, S: AsRef<str>>(
 ) -> io::Result<()> {
     let mut lines = Vec::with_capacity(row.len());
     for (column, cell) in columns.iter().zip(row).filter(|(_, cell)| !cell.exact().is_empty()) {
-        let mut header = column.as_ref().to_owned();
+        let mut header = printable(column.as_ref()).into_owned();
         let shown = times.column(&mut header, &[cell]).and_then(|texts| texts.into_iter().next());
         let header = if matches!(cell, Cell::Secs(_)) { without_unit(&header).to_owned() } else { header };
         lines.push((header, shown.unwrap_or_else(|| cell.rounded())));
@@ -218,7 +224,10 @@ impl<W: Write> TableWriter<W> {
     pub fn live(mut self) -> io::Result<Self> {
         self.live = true;
         match self.format {
-            Format::Table => self.write_line(&self.columns.clone())?,
+            Format::Table => {
+                let header: Vec<String> = self.columns.iter().map(|name| printable(name).into_owned()).collect();
+                self.write_line(&header)?;
+            }
             Format::Csv => self.write_header()?,
             Format::Json => {}
         }
@@ -309,7 +318,7 @@ impl<W: Write> TableWriter<W> {
             if is_empty || self.hidden.contains(&name.as_str()) {
                 continue;
             }
-            let mut name = name.clone();
+            let mut name = printable(name).into_owned();
             let times = self.times.column(&mut name, &cells);
             numeric.push(times.is_none() && cells.iter().any(|cell| cell.is_numeric()));
             let shown = times.unwrap_or_else(|| at_the_point(&cells));
@@ -361,9 +370,31 @@ fn at_the_point(cells: &[&Cell]) -> Vec<String> {
 
 /// A JSON object of names and JSON values.
 pub fn object<'a>(members: impl Iterator<Item = (&'a str, String)>) -> String {
-    let members: Vec<String> =
-        members.map(|(name, value)| format!("{}:{value}", serde_json::Value::from(name))).collect();
+    let members: Vec<String> = members.map(|(name, value)| format!("{}:{value}", json_text(name))).collect();
     format!("{{{}}}", members.join(","))
+}
+
+/// A text in JSON, with escapes for all that is not printable.
+fn json_text(text: &str) -> String {
+    printable_json(&serde_json::Value::from(text).to_string())
+}
+
+/// JSON without unprintable characters, which only its texts can have: the same values.
+#[must_use]
+pub fn printable_json(json: &str) -> String {
+    let mut escaped = String::with_capacity(json.len());
+    for character in json.chars() {
+        let mut buffer = [0; 4];
+        match printable(character.encode_utf8(&mut buffer)) {
+            Cow::Borrowed(text) => escaped.push_str(text),
+            // Line ends between values stay.
+            Cow::Owned(_) if character == '\n' => escaped.push('\n'),
+            Cow::Owned(_) => {
+                escaped.extend(character.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")));
+            }
+        }
+    }
+    escaped
 }
 
 #[cfg(test)]

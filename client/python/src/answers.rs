@@ -29,7 +29,7 @@ pub(crate) fn evaluate<'py>(
     let models = models.iter().map(|name| model_named(py, name)).collect::<PyResult<Vec<_>>>()?;
     let columns = Columns::of(states, &state_indices, &times_nanos, &values);
     columns.check(py)?;
-    let (client, options) = (client.client().clone(), EvaluateOptions { map: map.to_owned(), models, max_order });
+    let ((client, _), options) = (client.client(py)?, EvaluateOptions { map: map.to_owned(), models, max_order });
     let compared = async move {
         let mut evaluator = client.evaluate(options);
         for row in 0..columns.times_nanos.len() {
@@ -76,15 +76,18 @@ pub(crate) fn history<'py>(
     from_nanos: i64,
     to_nanos: i64,
 ) -> PyResult<Series<'py>> {
-    let (client, map, state) = (client.client().clone(), map.to_owned(), state.to_owned());
+    let ((client, room), map, state) = (client.client(py)?, map.to_owned(), state.to_owned());
     let read = async move {
-        let (mut times, mut values) = (Vec::new(), Vec::new());
-        let mut pieces = client.reconstruct(&map, &state, from_nanos, to_nanos).await?;
-        while let Some(piece) = pieces.next().await? {
-            times.extend(piece.iter().map(|(time, _)| *time));
-            values.extend(piece.iter().map(|(_, value)| *value));
-        }
-        Ok::<_, tidemap_client::Error>((times, values))
+        let ask = || async {
+            let (mut times, mut values) = (Vec::new(), Vec::new());
+            let mut pieces = client.reconstruct(&map, &state, from_nanos, to_nanos).await?;
+            while let Some(piece) = pieces.next().await? {
+                times.extend(piece.iter().map(|(time, _)| *time));
+                values.extend(piece.iter().map(|(_, value)| *value));
+            }
+            Ok::<_, tidemap_client::Error>((times, values))
+        };
+        room.ask(ask).await.map(|(series, _)| series)
     };
     let (times, values) = wait(py, read, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
     Ok((PyArray1::from_vec(py, times), PyArray1::from_vec(py, values)))

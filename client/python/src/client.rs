@@ -14,7 +14,7 @@ use tidemap_client::{
     Client,
     connection::Credentials,
     observe::{Producer, ProducerOptions, SightingReport, TraversalReport},
-    queries::{GridOutput, GridQuery, PredictionRun},
+    queries::{GridOutput, GridQuery, PredictionRun, Predictions},
 };
 
 use crate::{
@@ -22,8 +22,9 @@ use crate::{
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
     open_producer::{Driven, OpenProducer},
     reports::SaidReporting,
+    room::Room,
     rpc::{self, Replies, model_named},
-    waiting::{runtime, wait},
+    waiting::{Maker, runtime, wait},
 };
 
 /// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that
@@ -73,19 +74,83 @@ impl PredictedRow {
     }
 }
 
+/// The rows of all states, or the name of one that is a position.
+async fn predicted_rows(
+    mut predictions: Predictions,
+    count: usize,
+) -> Result<Result<Vec<PredictedRow>, String>, tidemap_client::Error> {
+    let mut rows: Vec<PredictedRow> = Vec::with_capacity(predictions.states().len());
+    // Of each state and label, its row: long runs of times come in pieces.
+    let mut places = HashMap::new();
+    while let Some(run) = predictions.next().await? {
+        let state = &predictions.states()[run.state];
+        let name = match &run.label {
+            Some(label) => format!("{state}/{label}"),
+            None if run.axis.is_some() => return Ok(Err(state.clone())),
+            None => state.clone(),
+        };
+        let place = *places.entry((run.state, run.axis)).or_insert_with(|| {
+            rows.push(PredictedRow::new(name, count));
+            rows.len() - 1
+        });
+        rows[place].put(&run);
+    }
+    Ok(Ok(rows))
+}
+
 /// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
 type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);
 
 /// A client of a daemon.
 #[pyclass(frozen)]
 pub(crate) struct NativeClient {
-    client: Client,
+    server: String,
+    credentials: Credentials,
+    // Taken with the interpreter's lock alone, so that a child of a fork never finds it held.
+    held: Mutex<Held>,
+}
+
+impl Drop for NativeClient {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// The connections of a client.
+struct Held {
+    maker: Maker,
+    /// `None`: it is closed.
+    client: Option<(Client, Room)>,
+}
+
+/// Connections that are made when they are needed.
+fn connected(py: Python<'_>, server: &str, credentials: &Credentials) -> PyResult<(Client, Room)> {
+    // Connections belong to the runtime.
+    let _entered = runtime()?.enter();
+    let client = Client::with_credentials(server, credentials).map_err(|error| failure::request(py, &error))?;
+    Ok((client, Room::new()))
 }
 
 impl NativeClient {
-    /// The client of the library.
-    pub(crate) fn client(&self) -> &Client {
-        &self.client
+    /// The client of the library, and its turns. A child of a fork gets connections of its own.
+    ///
+    /// # Errors
+    /// It is closed.
+    pub(crate) fn client(&self, py: Python<'_>) -> PyResult<(Client, Room)> {
+        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        if held.client.is_none() {
+            let message = "the client is closed: make another one with tidemap.connect()";
+            return Err(failure::exception(py, "FAILED_PRECONDITION", message));
+        }
+        if held.maker != Maker::here() {
+            let client = connected(py, &self.server, &self.credentials)?;
+            // What the parent has open is the parent's: to drop it here would touch threads that are not there.
+            std::mem::forget(held.client.replace(client));
+            held.maker = Maker::here();
+        }
+        // Checked above.
+        let closed = || failure::exception(py, "FAILED_PRECONDITION", "the client is closed");
+        held.client.clone().ok_or_else(closed)
     }
 
     /// Sends rows and waits until they are durable; `progress` as of `observe`.
@@ -98,7 +163,7 @@ impl NativeClient {
     ) -> PyResult<Bound<'py, PyDict>> {
         let all = rows.len();
         let counts = Arc::new(Mutex::new(SentCounts::default()));
-        let sent = send(self.client.clone(), options, rows, Arc::clone(&counts));
+        let sent = send(self.client(py)?.0, options, rows, Arc::clone(&counts));
         let outcome = wait(py, sent, |_| {
             let durable = counts.lock().unwrap_or_else(PoisonError::into_inner).durable;
             progress.map_or(Ok(()), |progress| progress.call1((durable, all)).map(|_| ()))
@@ -141,15 +206,24 @@ impl NativeClient {
         key: Option<Vec<u8>>,
     ) -> PyResult<Self> {
         let credentials = Credentials { token, ca, identity: certificate.zip(key) };
-        // Connections belong to the runtime.
-        let _entered = runtime()?.enter();
-        let client = Client::with_credentials(server, &credentials).map_err(|error| failure::request(py, &error))?;
-        Ok(Self { client })
+        let client = connected(py, server, &credentials)?;
+        let server = client.0.server().to_owned();
+        let held = Mutex::new(Held { maker: Maker::here(), client: Some(client) });
+        Ok(Self { server, credentials, held })
     }
 
     #[getter]
     fn server(&self) -> &str {
-        self.client.server()
+        &self.server
+    }
+
+    /// Closes the connections. What waits for an answer gets it; later calls are refused.
+    fn close(&self) {
+        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        let client = held.client.take();
+        if held.maker != Maker::here() {
+            std::mem::forget(client);
+        }
     }
 
     /// The replies of `SERVICE/METHOD` to a request in JSON.
@@ -160,11 +234,10 @@ impl NativeClient {
         };
         let message = rpc::request(&descriptor, request)
             .map_err(|error| failure::invalid(py, &format!("the request of {method}: {error}")))?;
-        let server = self.client.server().to_owned();
         let kind = descriptor.output();
-        match wait(py, rpc::call(self.client.clone(), descriptor, message), |_| Ok(()))? {
-            Ok(replies) => Ok(Replies::new(server, kind, replies)),
-            Err(status) => Err(rpc::raised(py, &server, &status)),
+        match wait(py, rpc::call(self.client(py)?, descriptor, message), |_| Ok(()))? {
+            Ok(replies) => Ok(Replies::new(self.server.clone(), kind, replies)),
+            Err(status) => Err(rpc::raised(py, &self.server, &status)),
         }
     }
 
@@ -285,7 +358,7 @@ impl NativeClient {
         if grids.cells.shape()[0] != all {
             return Err(failure::invalid(py, &format!("{all} times, {} grids", grids.cells.shape()[0])));
         }
-        let outcome = wait(py, grids::send(self.client.clone(), options, grids), |_| Ok(()))?;
+        let outcome = wait(py, grids::send(self.client(py)?.0, options, grids), |_| Ok(()))?;
         report(py, all, outcome)
     }
 
@@ -303,34 +376,16 @@ impl NativeClient {
         let model = model_named(py, model)?;
         let times = times_nanos.as_array().to_vec();
         let count = times.len();
-        let mut predictions = self.client.predict(map, states, times, model);
-        if let Some(level) = interval {
-            predictions = predictions.with_intervals(level);
-        }
-        let predicted = wait(
-            py,
-            async move {
-                let mut rows: Vec<PredictedRow> = Vec::with_capacity(predictions.states().len());
-                // Of each state and label, its row: long runs of times come in pieces.
-                let mut places = HashMap::new();
-                while let Some(run) = predictions.next().await? {
-                    let state = &predictions.states()[run.state];
-                    let name = match &run.label {
-                        Some(label) => format!("{state}/{label}"),
-                        None if run.axis.is_some() => return Ok(Err(state.clone())),
-                        None => state.clone(),
-                    };
-                    let place = *places.entry((run.state, run.axis)).or_insert_with(|| {
-                        rows.push(PredictedRow::new(name, count));
-                        rows.len() - 1
-                    });
-                    rows[place].put(&run);
-                }
-                Ok::<_, tidemap_client::Error>(Ok(rows))
-            },
-            |_| Ok(()),
-        )?;
-        let predicted = predicted.map_err(|error| failure::request(py, &error))?;
+        let (client, room) = self.client(py)?;
+        let map = map.to_owned();
+        let asked = async move {
+            let ask = || {
+                let predictions = client.predict(&map, states.clone(), times.clone(), model);
+                predicted_rows(predictions.with_intervals(interval.unwrap_or(0.0)), count)
+            };
+            room.ask(ask).await.map(|(rows, _)| rows)
+        };
+        let predicted = wait(py, asked, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
         let rows = predicted.map_err(|name| {
             let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
@@ -377,8 +432,12 @@ impl NativeClient {
             is_projected: project,
             output,
         };
-        let (client, asked) = (self.client.clone(), query.clone());
-        let answer = wait(py, async move { client.predict_grid(&asked).await?.whole().await }, |_| Ok(()))?;
+        let ((client, room), asked) = (self.client(py)?, query.clone());
+        let answered = async move {
+            let ask = || async { client.predict_grid(&asked).await?.whole().await };
+            room.ask(ask).await.map(|(answer, _)| answer)
+        };
+        let answer = wait(py, answered, |_| Ok(()))?;
         grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?, &query)
     }
 
@@ -400,7 +459,7 @@ impl NativeClient {
             return Err(failure::invalid(py, &format!("a patience of {patience_secs} s: use 0 or more seconds")));
         };
         let options = ProducerOptions { kind, reporting, patience, ..ProducerOptions::new(producer, label, map) };
-        let client = self.client.clone();
+        let client = self.client(py)?.0;
         let opened = wait(py, async move { Producer::open(&client, options).await }, |_| Ok(()))?;
         let producer = opened.map_err(|error| failure::producer(py, &error))?;
         Ok(OpenProducer::new(producer))

@@ -13,6 +13,7 @@ mod models;
 mod observe;
 mod open_producer;
 mod reports;
+mod room;
 mod rpc;
 mod waiting;
 mod zones;

@@ -14,7 +14,10 @@ use tidemap_client::{
     },
 };
 
-use crate::{failure, grids, waiting::wait};
+use crate::{
+    failure, grids,
+    waiting::{Maker, wait},
+};
 
 /// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
 pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
@@ -32,11 +35,21 @@ type Work<'a, T> = Pin<Box<dyn Future<Output = Result<T, ProducerError>> + Send 
 #[pyclass(frozen)]
 pub(crate) struct OpenProducer {
     producer: Arc<tokio::sync::Mutex<Option<Producer>>>,
+    maker: Maker,
+}
+
+impl Drop for OpenProducer {
+    fn drop(&mut self) {
+        // In a child of a fork it is the parent's, whose threads are not there.
+        if self.maker != Maker::here() {
+            std::mem::forget(Arc::clone(&self.producer));
+        }
+    }
 }
 
 impl OpenProducer {
     pub(crate) fn new(producer: Producer) -> Self {
-        Self { producer: Arc::new(tokio::sync::Mutex::new(Some(producer))) }
+        Self { producer: Arc::new(tokio::sync::Mutex::new(Some(producer))), maker: Maker::here() }
     }
 
     /// Does something with the producer, unless it is closed.
@@ -45,6 +58,7 @@ impl OpenProducer {
         py: Python<'_>,
         work: impl FnOnce(&mut Producer) -> Work<'_, T> + Send + 'static,
     ) -> PyResult<T> {
+        self.maker.check(py, "producer")?;
         let producer = Arc::clone(&self.producer);
         let done = async move {
             match producer.lock().await.as_mut() {
@@ -190,6 +204,7 @@ impl OpenProducer {
 
     /// Waits until everything is durable, and ends.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
+        self.maker.check(py, "producer")?;
         let producer = Arc::clone(&self.producer);
         let closed = async move {
             let mut held = producer.lock().await;
@@ -203,6 +218,7 @@ impl OpenProducer {
 
     /// Ends at once; what is not durable may or may not become so.
     fn abandon(&self, py: Python<'_>) -> PyResult<()> {
+        self.maker.check(py, "producer")?;
         let producer = Arc::clone(&self.producer);
         wait(py, async move { drop(producer.lock().await.take()) }, |_| Ok(()))
     }

@@ -15,7 +15,11 @@ use tidemap_proto::bytes_codec::BytesCodec;
 use tokio::sync::{Mutex, watch};
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 
-use crate::{failure, waiting::wait};
+use crate::{
+    failure,
+    room::{Room, Turn},
+    waiting::{Maker, wait},
+};
 
 /// Maximum size of one reply, as of the client library.
 const REPLY_BYTES: usize = 64 << 20;
@@ -66,8 +70,19 @@ pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
     json.ok_or_else(|| failure::exception(py, "INTERNAL", "the descriptors of the wire cannot be read"))
 }
 
-/// Calls a method.
-pub(crate) async fn call(client: Client, method: MethodDescriptor, request: Bytes) -> Result<Streaming<Bytes>, Status> {
+/// Calls a method when it is its turn. A stream of replies gives its turn to others as soon as it has begun: it may
+/// last for long.
+pub(crate) async fn call(
+    (client, room): (Client, Room),
+    method: MethodDescriptor,
+    request: Bytes,
+) -> Result<(Streaming<Bytes>, Option<Turn>), Status> {
+    let is_stream = method.is_server_streaming();
+    let (replies, turn) = room.ask(|| called(client.clone(), method.clone(), request.clone())).await?;
+    Ok((replies, Some(turn).filter(|_| !is_stream)))
+}
+
+async fn called(client: Client, method: MethodDescriptor, request: Bytes) -> Result<Streaming<Bytes>, Status> {
     let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
     let path = PathAndQuery::try_from(path).map_err(|error| Status::internal(error.to_string()))?;
     let mut grpc = Grpc::new(client.requests()).max_decoding_message_size(REPLY_BYTES);
@@ -89,15 +104,31 @@ pub(crate) fn raised(py: Python<'_>, server: &str, status: &Status) -> PyErr {
 pub(crate) struct Replies {
     server: String,
     kind: MessageDescriptor,
-    replies: Arc<Mutex<Streaming<Bytes>>>,
+    /// With the turn of the request.
+    replies: Arc<Mutex<(Streaming<Bytes>, Option<Turn>)>>,
+    maker: Maker,
     /// Set where no further reply is wanted.
     ended: Arc<watch::Sender<bool>>,
 }
 
 impl Replies {
     /// Replies of a server, of the type `kind`.
-    pub(crate) fn new(server: String, kind: MessageDescriptor, replies: Streaming<Bytes>) -> Self {
-        Self { server, kind, replies: Arc::new(Mutex::new(replies)), ended: Arc::new(watch::Sender::new(false)) }
+    pub(crate) fn new(
+        server: String,
+        kind: MessageDescriptor,
+        replies: (Streaming<Bytes>, Option<Turn>),
+    ) -> Self {
+        let (replies, ended) = (Arc::new(Mutex::new(replies)), Arc::new(watch::Sender::new(false)));
+        Self { server, kind, replies, maker: Maker::here(), ended }
+    }
+}
+
+impl Drop for Replies {
+    fn drop(&mut self) {
+        // In a child of a fork they are the parent's, whose threads are not there.
+        if self.maker != Maker::here() {
+            std::mem::forget(Arc::clone(&self.replies));
+        }
     }
 }
 
@@ -108,14 +139,19 @@ impl Replies {
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        self.maker.check(py, "stream of replies")?;
         let (replies, kind, mut ended) = (Arc::clone(&self.replies), self.kind.clone(), self.ended.subscribe());
         let next = async move {
-            let mut replies = replies.lock().await;
+            let mut held = replies.lock().await;
+            let (replies, turn) = &mut *held;
             let message = tokio::select! {
-                _ = ended.wait_for(|ended| *ended) => return Ok(None),
-                message = replies.message() => message?,
+                _ = ended.wait_for(|ended| *ended) => Ok(None),
+                message = replies.message() => message,
             };
-            let Some(bytes) = message else { return Ok(None) };
+            let Ok(Some(bytes)) = message else {
+                *turn = None;
+                return message.map(|_| None);
+            };
             let message = DynamicMessage::decode(kind, bytes).map_err(|error| Status::internal(error.to_string()))?;
             text(&message).map(Some)
         };

@@ -1,19 +1,52 @@
 //! Waiting for the daemon without holding the interpreter.
 //!
-//! Invariant: a wait that Python interrupts ends at once, and drops what it waited for.
+//! Invariant: a wait that Python interrupts ends at once, and drops what it waited for. A process has a runtime of its
+//! own: after a fork, the threads of the one before are not there.
 
-use std::{future::Future, sync::OnceLock, time::Duration};
+use std::{
+    future::Future,
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
 
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 use tokio::runtime::{Builder, Runtime};
 
+use crate::failure;
+
 /// How often Python is asked whether Ctrl-C was pressed.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
+/// The process that made something which has threads or connections.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Maker(u32);
+
+impl Maker {
+    /// This process.
+    pub(crate) fn here() -> Self {
+        Self(std::process::id())
+    }
+
+    /// Refuses what another process has made: it was copied by a fork, and nobody answers in its connections.
+    pub(crate) fn check(self, py: Python<'_>, what: &str) -> PyResult<()> {
+        if self == Self::here() {
+            return Ok(());
+        }
+        let message = format!("the {what} was opened before this process was forked: open another one in this process");
+        Err(failure::exception(py, "FAILED_PRECONDITION", &message))
+    }
+}
+
+/// The runtime of a process. It is never dropped: a child of a fork has no threads that it could end.
+static RUNTIME: Mutex<Option<(Maker, &'static Runtime)>> = Mutex::new(None);
+
 /// The runtime of all clients of the process.
 pub(crate) fn runtime() -> PyResult<&'static Runtime> {
-    static RUNTIME: OnceLock<Runtime> = OnceLock::new();
-    if let Some(runtime) = RUNTIME.get() {
+    // Held with the interpreter's lock, which a fork by Python has as well: no child finds it held.
+    let mut held = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((maker, runtime)) = *held
+        && maker == Maker::here()
+    {
         return Ok(runtime);
     }
     let runtime = Builder::new_multi_thread()
@@ -22,7 +55,9 @@ pub(crate) fn runtime() -> PyResult<&'static Runtime> {
         .enable_all()
         .build()
         .map_err(|error| PyRuntimeError::new_err(format!("no threads for the client: {error}")))?;
-    Ok(RUNTIME.get_or_init(|| runtime))
+    let runtime: &'static Runtime = Box::leak(Box::new(runtime));
+    *held = Some((Maker::here(), runtime));
+    Ok(runtime)
 }
 
 /// Waits for a future while other threads of Python run. `each` is called with the interpreter, about twenty times a

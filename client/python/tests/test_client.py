@@ -60,6 +60,19 @@ def test_what_was_sent_can_be_replaced_or_erased(client):
         client.erase(client.name, "hatch")
 
 
+def test_a_producer_that_will_not_come_back_frees_its_places(client):
+    when, value = door(1)
+    for label in ("a", "b"):
+        client.observe(client.name, states="door", times=when, values=value, producer="robot", label=label)
+    assert client.forget_producer(client.name, "robot", label="a") == 1
+    assert client.forget_producer(client.name, "robot") == 1, "the other label"
+    with pytest.raises(tidemap.NotFound, match="robot"):
+        client.forget_producer(client.name, "robot")
+    # What it has sent stays, and keeps its numbers.
+    again = client.observe(client.name, states="door", times=when, values=value, producer="robot", label="a")
+    assert (again.accepted, again.duplicate) == (0, len(when))
+
+
 def test_kill_9_in_between_loses_and_doubles_nothing(tmp_path):
     rows = 400_000
     when = MONDAY + np.arange(rows) * SECOND

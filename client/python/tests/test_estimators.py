@@ -123,3 +123,13 @@ def test_scikit_learn_takes_it_for_an_estimator(model):
     passed = {result["check_name"] for result in results if result["status"] == "passed"}
     assert failed <= WIDTH | INTEGERS
     assert {"check_estimators_pickle", "check_fit_idempotent", "check_estimators_nan_inf"} <= passed
+
+
+def test_fit_has_the_type_of_its_estimator():
+    import typing
+
+    from tidemap import models
+
+    for kind in (models.FreMEn, models.FreMEnRegressor):
+        hints = typing.get_type_hints(kind.fit)
+        assert hints["self"] == hints["return"] and hints["return"] is not typing.Any, kind

@@ -1,8 +1,8 @@
 //! MCAP, read from the front to the back.
 //!
 //! Invariant: the summary is not used, so a file without one is read too. At most a chunk, as stored and as
-//! decompressed, is in memory. The records are taken apart here: a library would reserve memory by lengths that the
-//! file states.
+//! decompressed, is in memory. The records are taken apart here, because a message that is too long is passed over: the
+//! reader of the crate `mcap`, with a limit of a record's length, ends there.
 
 use std::{
     collections::{HashMap, hash_map::Entry},

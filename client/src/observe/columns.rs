@@ -37,9 +37,9 @@ pub struct BatchLimits {
 }
 
 impl BatchLimits {
-    /// Maximum number of traversals; each counts as two observations, and one always fits.
+    /// Maximum number of reports other than sightings; each counts as two observations, and one always fits.
     #[must_use]
-    pub fn traversals(self) -> usize {
+    pub fn reports(self) -> usize {
         (self.observations / 2).max(1)
     }
 }

@@ -3,14 +3,11 @@
 //! Invariant: the bytes are those of `Welcome.content_crc` in `observation.proto`.
 
 use tidemap_proto::{
-    convert::{
-        sightings::{self, SightingReport},
-        traversals::{TraversalReport, append_content, report_to_wire},
-    },
+    convert::{reports::append_content, sightings::SightingReport, traversals::TraversalReport},
     v1,
 };
 
-/// CRC-32C over observations, scans, traversals and sightings in order.
+/// CRC-32C over observations, scans and reports in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContentCrc(u32);
 
@@ -48,23 +45,17 @@ impl ContentCrc {
 
     /// Adds the next traversal, as it is sent.
     pub fn add_traversal(&mut self, report: &TraversalReport) {
-        self.add_wire_traversal(&report_to_wire(report));
-    }
-
-    pub(super) fn add_wire_traversal(&mut self, traversal: &v1::Traversal) {
-        let mut bytes = Vec::new();
-        append_content(traversal, &mut bytes);
-        self.0 = crc32c::crc32c_append(self.0, &bytes);
+        self.add_report(&report.to_report());
     }
 
     /// Adds the next sighting, as it is sent.
     pub fn add_sighting(&mut self, report: &SightingReport) {
-        self.add_wire_sighting(&report.to_wire());
+        self.add_report(&report.to_report());
     }
 
-    pub(super) fn add_wire_sighting(&mut self, sighting: &v1::Sighting) {
+    pub(super) fn add_report(&mut self, report: &v1::Report) {
         let mut bytes = Vec::new();
-        sightings::append_content(sighting, &mut bytes);
+        append_content(report, &mut bytes);
         self.0 = crc32c::crc32c_append(self.0, &bytes);
     }
 

@@ -88,7 +88,7 @@ impl Link {
                 // An earlier Hello, whose Welcome was lost with its connection, may hold the key until the daemon
                 // notices.
                 End::Final(ProducerError::KeyInUse(detail)) if said_hello && self.incarnation == 0 => {
-                    Error::Server(ServerError { code: Code::AlreadyExists, message: detail, fields: Vec::new() })
+                    Error::Server(ServerError::new(Code::AlreadyExists, detail))
                 }
                 End::Final(error) => return self.finish(error),
                 End::Idle if self.left_while_idle().await => return self.finish(ProducerError::Closed),
@@ -316,7 +316,7 @@ fn ending(goodbye: Goodbye) -> End {
     End::Final(match reason {
         GoodbyeReason::Shutdown => {
             let message = if detail.is_empty() { "the daemon is stopping".to_owned() } else { detail };
-            return End::Broken(Error::Server(ServerError { code: Code::Unavailable, message, fields: Vec::new() }));
+            return End::Broken(Error::Server(ServerError::new(Code::Unavailable, message)));
         }
         GoodbyeReason::DataMismatch => ProducerError::DataMismatch(detail),
         GoodbyeReason::OutOfSequence => ProducerError::OutOfSequence(detail),

@@ -9,13 +9,10 @@ use tidemap_grid::index::CellBox;
 use tidemap_proto::{
     convert::{
         grid::cell_box_to_wire,
-        sightings::{self, SIGHTINGS_MAX},
-        traversals::{self, BATCH_TEXT_BYTES_MAX},
+        reports::{BATCH_TEXT_BYTES_MAX, SIGHTINGS_MAX, is_sighting, wire_bytes},
         vectors::shape_to_wire,
     },
-    v1::{
-        ObservationBatch, ObserveRequest, ScanBatch, SightingBatch, TraversalBatch, Welcome, observe_request::Message,
-    },
+    v1::{ObservationBatch, ObserveRequest, Report, ReportBatch, ScanBatch, Welcome, observe_request::Message},
 };
 
 use super::{
@@ -74,8 +71,7 @@ impl Outgoing {
             || state.window.as_ref().is_some_and(|window| {
                 window.to_send(observations.observations, state.urgent).next().is_some()
                     || window.scans_to_send(scans.scans, scans.bytes, state.urgent).next().is_some()
-                    || window.traversals_to_send(observations.traversals(), state.urgent).next().is_some()
-                    || window.sightings_to_send(SIGHTINGS_MAX, state.urgent).next().is_some()
+                    || window.reports_to_send(reports_max(observations), state.urgent).next().is_some()
             })
     }
 
@@ -87,8 +83,7 @@ impl Outgoing {
             Some(part) => Message::Scans(part),
             None => self
                 .observations(window, urgent)
-                .or_else(|| self.traversals(window, urgent))
-                .or_else(|| self.sightings(window, urgent))
+                .or_else(|| self.reports(window, urgent))
                 .or_else(|| self.scans(window, urgent))?,
         };
         Some(ObserveRequest { message: Some(message) })
@@ -123,21 +118,15 @@ impl Outgoing {
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }
 
-    fn traversals(&self, window: &mut Window, urgent: u64) -> Option<Message> {
+    fn reports(&self, window: &mut Window, urgent: u64) -> Option<Message> {
         let limits = self.limits.observations;
         let first_sequence = window.next_unsent();
-        let waiting = window.traversals_to_send(limits.traversals(), urgent);
-        let traversals = within_bytes(waiting, limits, traversals::wire_bytes)?;
-        window.sent(traversals.len());
-        Some(Message::Traversals(TraversalBatch { first_sequence, traversals }))
-    }
-
-    fn sightings(&self, window: &mut Window, urgent: u64) -> Option<Message> {
-        let first_sequence = window.next_unsent();
-        let waiting = window.sightings_to_send(SIGHTINGS_MAX, urgent);
-        let sightings = within_bytes(waiting, self.limits.observations, sightings::wire_bytes)?;
-        window.sent(sightings.len());
-        Some(Message::Sightings(SightingBatch { first_sequence, sightings }))
+        let reports = first_reports(window.reports_to_send(reports_max(limits), urgent), limits);
+        if reports.is_empty() {
+            return None;
+        }
+        window.sent(reports.len());
+        Some(Message::Reports(ReportBatch { first_sequence, reports }))
     }
 
     fn scans(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
@@ -159,27 +148,31 @@ impl Outgoing {
     }
 }
 
+/// Maximum number of reports of one message.
+fn reports_max(limits: BatchLimits) -> usize {
+    limits.reports().max(SIGHTINGS_MAX)
+}
+
 /// The first reports, as many as fit into a message; at least one, if there is any.
-fn within_bytes<'a, Report: Clone + 'a>(
-    waiting: impl Iterator<Item = &'a Report>,
-    limits: BatchLimits,
-    bytes_of: impl Fn(&Report) -> usize,
-) -> Option<Vec<Report>> {
-    let mut bytes = 0;
+fn first_reports<'a>(waiting: impl Iterator<Item = &'a Report>, limits: BatchLimits) -> Vec<Report> {
+    let (mut bytes, mut sightings) = (0, 0);
     let mut reports: Vec<Report> = Vec::new();
     for report in waiting {
-        bytes += bytes_of(report);
-        if !reports.is_empty() && bytes > limits.bytes.min(BATCH_TEXT_BYTES_MAX) {
+        bytes += wire_bytes(report);
+        sightings += usize::from(is_sighting(report));
+        let others = reports.len() + 1 - sightings;
+        let is_too_large = bytes > limits.bytes.min(BATCH_TEXT_BYTES_MAX);
+        if !reports.is_empty() && (is_too_large || sightings > SIGHTINGS_MAX || others > limits.reports()) {
             break;
         }
         reports.push(report.clone());
     }
-    (!reports.is_empty()).then_some(reports)
+    reports
 }
 
 #[cfg(test)]
 mod tests {
-    use tidemap_proto::v1::{Sighting, Traversal};
+    use tidemap_proto::convert::{sightings::SightingReport, traversals::TraversalReport};
 
     use super::*;
     use crate::observe::{
@@ -202,11 +195,11 @@ mod tests {
         window.push_scan(8, Scan::Cloud(PointCloud { xyz_m: vec![0.5; 3000], ..PointCloud::default() }))?;
         window.push("door", 9, 0.0);
         for _ in 0..2 {
-            window.push_traversal(Traversal::default());
+            window.push_report(TraversalReport::default().to_report());
         }
         window.push("door", 9, 0.0);
         for _ in 0..3 {
-            window.push_sighting(Sighting::default());
+            window.push_report(SightingReport::default().to_report());
         }
         let mut state = SharedState { window: Some(window), urgent: 16, closing: false, refusals: Vec::new() };
         let mut outgoing = Outgoing::new(MessageLimits::of(&welcome), None);
@@ -218,8 +211,7 @@ mod tests {
                     (batch.first_sequence, batch.observations.map_or(0, |columns| columns.time_deltas.len()), false)
                 }
                 Message::Scans(batch) => (batch.first_sequence, batch.scans.len(), batch.continues),
-                Message::Traversals(batch) => (batch.first_sequence, batch.traversals.len(), false),
-                Message::Sightings(batch) => (batch.first_sequence, batch.sightings.len(), false),
+                Message::Reports(batch) => (batch.first_sequence, batch.reports.len(), false),
                 Message::Hello(_) | Message::Alive(_) => return Err("no batch".into()),
             });
         }

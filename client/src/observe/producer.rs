@@ -7,10 +7,7 @@ mod scans;
 use std::sync::{Arc, Mutex};
 
 use tidemap_model::Position;
-use tidemap_proto::convert::{
-    sightings::SightingReport,
-    traversals::{TraversalReport, report_to_wire},
-};
+use tidemap_proto::convert::{sightings::SightingReport, traversals::TraversalReport};
 use tokio::{
     sync::{Notify, watch},
     task::JoinHandle,
@@ -82,8 +79,8 @@ impl Producer {
         if let Some(long) = [from, to, action].into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
             return Err(ProducerError::NameTooLong(long.len()));
         }
-        let wire = report_to_wire(report);
-        self.push(|window| window.push_traversal(wire)).await
+        let wire = report.to_report();
+        self.push(|window| window.push_report(wire)).await
     }
 
     /// Accepts a sighting and returns its number; waits while the window is full. It is durable once
@@ -97,8 +94,8 @@ impl Producer {
         if let Some(long) = names.into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
             return Err(ProducerError::NameTooLong(long.len()));
         }
-        let wire = report.to_wire();
-        self.push(|window| window.push_sighting(wire)).await
+        let wire = report.to_report();
+        self.push(|window| window.push_report(wire)).await
     }
 
     /// Accepts an observation and returns its number; waits while the window is full. The observation is durable once

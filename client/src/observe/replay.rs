@@ -6,7 +6,7 @@ use tidemap_model::Position;
 use tidemap_proto::{
     convert::{
         scans::{TileError, TileTable},
-        traversals::{TraversalReport, report_to_wire},
+        traversals::TraversalReport,
     },
     v1,
 };
@@ -64,7 +64,7 @@ impl Replay {
 
     /// The next traversal.
     pub fn traversal(&mut self, report: &TraversalReport) {
-        let number = self.0.push_traversal(report_to_wire(report));
+        let number = self.0.push_report(report.to_report());
         number.into_iter().for_each(|number| self.follow(number));
     }
 

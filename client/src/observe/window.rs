@@ -1,4 +1,4 @@
-//! The observations, scans, traversals and sightings that a producer keeps until they are durable.
+//! The observations, scans and reports that a producer keeps until they are durable.
 //!
 //! Invariant: pure. Sequence numbers have no gaps, over items of all kinds together; each item is kept from its push
 //! until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
@@ -13,8 +13,8 @@ pub use scans::KeptScan;
 use tidemap_model::Position;
 use tidemap_proto::{
     convert::{
+        reports,
         scans::{TilePicture, TileTable},
-        sightings, traversals,
     },
     v1,
 };
@@ -31,8 +31,7 @@ const LABELS_AT: usize = 3;
 enum Item {
     Observation(Entry),
     Scan(Box<KeptScan>),
-    Traversal(Box<v1::Traversal>),
-    Sighting(Box<v1::Sighting>),
+    Report(Box<v1::Report>),
 }
 
 impl Item {
@@ -41,8 +40,7 @@ impl Item {
             + match self {
                 Self::Observation(_) => 0,
                 Self::Scan(scan) => scan.bytes(),
-                Self::Traversal(traversal) => size_of::<v1::Traversal>() + traversals::wire_bytes(traversal),
-                Self::Sighting(sighting) => size_of::<v1::Sighting>() + sightings::wire_bytes(sighting),
+                Self::Report(report) => size_of::<v1::Report>() + reports::wire_bytes(report),
             }
     }
 }
@@ -143,14 +141,9 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 0.0, position: Some(position) })))
     }
 
-    /// Pushes a traversal and returns its number; `None` if the window is full.
-    pub fn push_traversal(&mut self, traversal: v1::Traversal) -> Option<u64> {
-        self.has_room().then(|| self.take(Item::Traversal(Box::new(traversal))))
-    }
-
-    /// Pushes a sighting and returns its number; `None` if the window is full.
-    pub fn push_sighting(&mut self, sighting: v1::Sighting) -> Option<u64> {
-        self.has_room().then(|| self.take(Item::Sighting(Box::new(sighting))))
+    /// Pushes a report and returns its number; `None` if the window is full.
+    pub fn push_report(&mut self, report: v1::Report) -> Option<u64> {
+        self.has_room().then(|| self.take(Item::Report(Box::new(report))))
     }
 
     fn take(&mut self, item: Item) -> u64 {
@@ -210,24 +203,16 @@ impl Window {
     pub fn to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),
-            Item::Scan(_) | Item::Traversal(_) | Item::Sighting(_) => None,
+            Item::Scan(_) | Item::Report(_) => None,
         })
     }
 
-    /// The traversals to send next, at most `max_count`; empty if it is better to wait for more, or another kind of
-    /// item comes next.
-    pub fn traversals_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
+    /// The reports to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
+    /// comes next.
+    pub fn reports_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Report> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
-            Item::Traversal(traversal) => Some(&**traversal),
-            Item::Observation(_) | Item::Scan(_) | Item::Sighting(_) => None,
-        })
-    }
-
-    /// The sightings to send next, as [`Window::traversals_to_send`].
-    pub fn sightings_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Sighting> {
-        self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
-            Item::Sighting(sighting) => Some(&**sighting),
-            Item::Observation(_) | Item::Scan(_) | Item::Traversal(_) => None,
+            Item::Report(report) => Some(&**report),
+            Item::Observation(_) | Item::Scan(_) => None,
         })
     }
 
@@ -268,8 +253,7 @@ impl Window {
                         Some(position) => self.crc.add_position(name, entry.time_nanos, position.coordinates()),
                     }
                 }
-                Item::Traversal(traversal) => self.crc.add_wire_traversal(&traversal),
-                Item::Sighting(sighting) => self.crc.add_wire_sighting(&sighting),
+                Item::Report(report) => self.crc.add_report(&report),
                 Item::Scan(scan) => {
                     self.crc.add_scan(scan.time_nanos(), scan.digest());
                     scan.follow_in(&mut self.base);

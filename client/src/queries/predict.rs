@@ -59,6 +59,21 @@ pub struct PredictionRun {
     pub answered_by: Option<ModelSelector>,
 }
 
+impl PredictionRun {
+    /// The age of the newest observation at a time, see [`age_nanos`]. `None`: there is none.
+    #[must_use]
+    pub fn age_nanos(&self, at_nanos: i64) -> Option<i64> {
+        self.last_nanos.map(|last_nanos| age_nanos(last_nanos, at_nanos))
+    }
+}
+
+/// By how much a time is later than the newest observation, in nanoseconds; 0 for a time before it, which observations
+/// on both sides describe.
+#[must_use]
+pub fn age_nanos(last_nanos: i64, at_nanos: i64) -> i64 {
+    at_nanos.saturating_sub(last_nanos).max(0)
+}
+
 /// Predictions in progress.
 #[derive(Debug)]
 pub struct Predictions {

@@ -81,6 +81,8 @@ pub enum FrameKind {
     Epoch = b'W' as isize,
     /// [`crate::v3::UpdateDone`].
     UpdateDone = b'D' as isize,
+    /// [`crate::v3::ForgetProducers`].
+    ForgetProducers = b'F' as isize,
 }
 
 /// Header of a frame: kind u8, version u8, zero u16, payload length u32, position u64, group index u32, chain u32,
@@ -128,6 +130,7 @@ impl FrameHeader {
             b'E' => FrameKind::EditSite,
             b'W' => FrameKind::Epoch,
             b'D' => FrameKind::UpdateDone,
+            b'F' => FrameKind::ForgetProducers,
             _ => return None,
         };
         let payload_length = u32_at(bytes, 4);

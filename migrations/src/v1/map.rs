@@ -171,6 +171,9 @@ pub struct NewProducer {
     /// The sensor of all its scans; absent: the map's own.
     #[prost(message, optional, tag = "3")]
     pub sensor: Option<Sensor>,
+    /// The client that introduces it, as shares count clients; empty: one without a share.
+    #[prost(string, tag = "4")]
+    pub introduced_by: String,
 }
 
 /// How far a producer's sequence is durable.
@@ -209,6 +212,12 @@ pub struct Producer {
     /// report samples.
     #[prost(sfixed64, tag = "11")]
     pub newest_nanos: i64,
+    /// Whether it has given its place up.
+    #[prost(bool, tag = "12")]
+    pub is_forgotten: bool,
+    /// The client that introduced it, as shares count clients; empty: one without a share.
+    #[prost(string, tag = "13")]
+    pub introduced_by: String,
 }
 
 /// How long exact observations are kept.

@@ -48,7 +48,7 @@ pub struct NewestRow {
 }
 
 /// The rows of a state that reports changes or events.
-#[derive(Clone, Copy, PartialEq, prost::Message)]
+#[derive(Clone, PartialEq, prost::Message)]
 pub struct Rows {
     #[prost(message, optional, tag = "1")]
     pub reporting: Option<Reporting>,
@@ -70,4 +70,7 @@ pub struct Rows {
     /// The newest row that arrived.
     #[prost(message, optional, tag = "7")]
     pub newest: Option<NewestRow>,
+    /// Rows that were taken and are not learned yet, ascending by time.
+    #[prost(message, repeated, tag = "8")]
+    pub waiting: Vec<Row>,
 }

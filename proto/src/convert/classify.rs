@@ -5,11 +5,7 @@
 use tidemap_map::name::StateName;
 use tidemap_model::selector::ModelSelector;
 
-use super::{
-    InvalidField,
-    query::selector_from_wire,
-    time::{nanos_from_timestamp, timestamp},
-};
+use super::{InvalidField, query::selector_from_wire, time::nanos_from_timestamp};
 use crate::v1;
 
 /// What is learned of a classification.
@@ -83,28 +79,6 @@ pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<Class
     Ok(ClassifyQuestion { state, utc_nanos, likelihoods: known, place: place.transpose()?, selector, learning })
 }
 
-/// The readings by which a classification is learned: of the state, and of its state at the place.
-#[must_use]
-pub fn readings_to_wire(
-    states: impl IntoIterator<Item = StateName>,
-    utc_nanos: i64,
-    learning: Learning,
-    shares: &[(String, f64)],
-) -> Vec<v1::Reading> {
-    let likeliest = shares.iter().max_by(|(_, one), (_, other)| one.total_cmp(other));
-    let reading = |state: StateName| {
-        let reading =
-            v1::Reading { state: state.to_string(), time: Some(timestamp(utc_nanos)), ..v1::Reading::default() };
-        match learning {
-            Learning::Shares => v1::Reading { shares: shares.iter().map(|(_, share)| *share).collect(), ..reading },
-            Learning::Nothing | Learning::Label => {
-                v1::Reading { label: likeliest.map(|(label, _)| label.clone()).unwrap_or_default(), ..reading }
-            }
-        }
-    };
-    states.into_iter().map(reading).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -129,15 +103,5 @@ mod tests {
         assert_eq!(field(v1::ClassifyActivityRequest { place: "a/b".to_owned(), ..request() }), "place");
         let model = Some(v1::ModelSelector { kind: v1::ModelKind::Calibrated.into(), ..v1::ModelSelector::default() });
         assert_eq!(field(v1::ClassifyActivityRequest { model, ..request() }), "model.kind");
-    }
-
-    #[test]
-    fn a_classification_is_learned_as_its_likeliest_label_or_as_shares() {
-        let shares = [("sleep".to_owned(), 0.25), ("eat".to_owned(), 0.75)];
-        let state = || [StateName::new("activity").expect("valid")];
-        let label = readings_to_wire(state(), 7, Learning::Label, &shares);
-        assert_eq!((label[0].label.as_str(), label[0].shares.len()), ("eat", 0));
-        let whole = readings_to_wire(state(), 7, Learning::Shares, &shares);
-        assert_eq!((whole[0].label.as_str(), whole[0].shares.as_slice()), ("", &[0.25, 0.75][..]));
     }
 }

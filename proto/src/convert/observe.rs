@@ -1,4 +1,4 @@
-//! A stream of observations: its messages, and a report of single readings, which is a stream of one message.
+//! A stream of observations: its messages, and requests that send what a stream would.
 //!
 //! Invariant: what is decoded here keeps the order and the numbers of what was sent. Sizes that depend on the stream
 //! are checked by who takes the messages, before anything is unpacked.
@@ -15,7 +15,7 @@ use super::{
     InvalidField,
     columns::PackedColumns,
     reporting::reporting_from_wire,
-    reports::{ReportMessage, sightings_from_wire, traversals_from_wire},
+    reports::{ReportMessage, reports_from_wire},
     scans::{ScanMessage, scans_from_wire},
     sequences::sequences_from_wire,
     vectors::new_shapes,
@@ -24,7 +24,7 @@ use crate::v1::{self, observe_request::Message};
 
 mod readings;
 
-pub use readings::readings_to_columns;
+pub use readings::{learned_readings, readings_from_wire};
 
 /// The beginning of a stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,21 +59,57 @@ pub fn hello_of(first: v1::ObserveRequest) -> Result<v1::Hello, InvalidField> {
 /// # Errors
 /// An invalid name of the producer, or label; or states that cannot be reported like that.
 pub fn hello_from_wire(hello: &v1::Hello) -> Result<StreamStart, InvalidField> {
-    // One after the other, to name the invalid field.
-    ProducerKey::new(&hello.producer, "").map_err(|error| InvalidField::new("hello.producer", error))?;
-    let key = ProducerKey::new(&hello.producer, &hello.label);
     let sensor = |wire: &v1::ProducerSensor| ProducerSensor {
         hit: wire.hit.unwrap_or(1.0),
         false_alarm: wire.false_alarm.unwrap_or(0.0),
     };
     Ok(StreamStart {
-        key: key.map_err(|error| InvalidField::new("hello.label", error))?,
         incarnation: hello.incarnation,
         answers_probes: hello.answers_probes,
         is_nightly: hello.nightly,
         sensor: hello.sensor.as_ref().map(sensor),
         reporting: hello.reporting.as_ref().map(|wire| reporting_from_wire("hello.reporting", wire)).transpose()?,
+        ..StreamStart::of(("hello.producer", &hello.producer), ("hello.label", &hello.label))?
     })
+}
+
+/// Who sends the readings of a request.
+///
+/// # Errors
+/// As [`hello_from_wire`].
+pub fn start_of_request(request: &v1::ReportRequest) -> Result<StreamStart, InvalidField> {
+    let start = StreamStart::of(("producer", &request.producer), ("label", &request.label))?;
+    let reporting = request.reporting.as_ref().map(|wire| reporting_from_wire("reporting", wire)).transpose()?;
+    Ok(StreamStart { reporting, ..start })
+}
+
+/// Who reports a run of a task.
+///
+/// # Errors
+/// An invalid name of the producer, or label.
+pub fn start_of_run(request: &v1::ReportTaskRequest) -> Result<StreamStart, InvalidField> {
+    StreamStart::of(("producer", &request.producer), ("label", &request.label))
+}
+
+/// Who sends what is learned of a classification.
+///
+/// # Errors
+/// An invalid name of the producer, or label.
+pub fn start_of_classification(request: &v1::ClassifyActivityRequest) -> Result<StreamStart, InvalidField> {
+    StreamStart::of(("producer", &request.producer), ("producer_label", &request.producer_label))
+}
+
+impl StreamStart {
+    /// A new incarnation of a producer. Each name comes with its field.
+    fn of(
+        (producer_field, producer): (&str, &str),
+        (label_field, label): (&str, &str),
+    ) -> Result<StreamStart, InvalidField> {
+        // One after the other, to name the invalid field.
+        ProducerKey::new(producer, "").map_err(|error| InvalidField::new(producer_field, error))?;
+        let key = ProducerKey::new(producer, label).map_err(|error| InvalidField::new(label_field, error))?;
+        Ok(Self { key, incarnation: 0, answers_probes: false, is_nightly: false, sensor: None, reporting: None })
+    }
 }
 
 /// A message of a stream after its hello.
@@ -83,7 +119,7 @@ pub enum StreamMessage {
     Observations(ObservationMessage),
     /// Scans.
     Scans(ScanMessage),
-    /// Traversals, or sightings.
+    /// Reports of robots.
     Reports(ReportMessage),
     /// The answer to a probe.
     Alive,
@@ -97,11 +133,10 @@ pub fn message_from_wire(request: v1::ObserveRequest) -> Result<StreamMessage, I
     Ok(match request.message {
         Some(Message::Batch(batch)) => StreamMessage::Observations(observations_from_wire(batch)?),
         Some(Message::Scans(scans)) => StreamMessage::Scans(scans_from_wire(scans)?),
-        Some(Message::Traversals(batch)) => StreamMessage::Reports(traversals_from_wire(batch)?),
-        Some(Message::Sightings(batch)) => StreamMessage::Reports(sightings_from_wire(batch)?),
+        Some(Message::Reports(batch)) => StreamMessage::Reports(reports_from_wire(&batch)?),
         Some(Message::Alive(v1::Alive {})) => StreamMessage::Alive,
         Some(Message::Hello(_)) | None => {
-            let text = "after the Hello a message must be a batch, of observations, scans, traversals or sightings";
+            let text = "after the Hello a message must be a batch of observations, scans or reports";
             return Err(InvalidField::new("message", text));
         }
     })
@@ -130,9 +165,23 @@ pub struct ObservationMessage {
 /// There are none, a shape that no name can have, or a first sequence number of 0.
 pub fn observations_from_wire(batch: v1::ObservationBatch) -> Result<ObservationMessage, InvalidField> {
     let missing = || InvalidField::new("observations", "missing: send at least 1");
-    let columns = batch.observations.ok_or_else(missing)?;
-    let sequences = sequences_from_wire(batch.first_sequence, columns.time_deltas.len())?;
-    Ok(ObservationMessage { sequences, shapes: new_shapes(&columns)?, columns: columns.into() })
+    UnnumberedObservations(batch.observations.ok_or_else(missing)?).numbered(batch.first_sequence)
+}
+
+/// Observations that are not numbered yet.
+#[derive(Clone, Debug)]
+pub struct UnnumberedObservations(v1::ObservationColumns);
+
+impl UnnumberedObservations {
+    /// The observations from this sequence number on.
+    ///
+    /// # Errors
+    /// There are none, a shape that no name can have, or a first sequence number of 0.
+    pub fn numbered(self, first_sequence: u64) -> Result<ObservationMessage, InvalidField> {
+        let Self(columns) = self;
+        let sequences = sequences_from_wire(first_sequence, columns.time_deltas.len())?;
+        Ok(ObservationMessage { sequences, shapes: new_shapes(&columns)?, columns: columns.into() })
+    }
 }
 
 #[cfg(test)]

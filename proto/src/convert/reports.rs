@@ -1,80 +1,137 @@
-//! Reports of robots about places of the topological map, as a stream sends them: traversals and sightings.
+//! Reports of robots: traversals, sightings and runs of tasks.
 //!
 //! Invariant: an invalid report is refused on its own; it uses up its sequence number.
 
 use std::ops::RangeInclusive;
 
-use tidemap_map::{ids::RefusalReason, sighting::PlaceReport};
+use tidemap_map::{
+    ids::RefusalReason,
+    report::{Report, ReportError},
+    site::Site,
+    task::TaskRun,
+};
 
 use super::{
     InvalidField, OverLimit,
     sequences::sequences_from_wire,
-    sightings::{self, SIGHTINGS_MAX, sighting_from_wire},
-    traversals::{self, work_from_wire},
+    sightings::{self, sighting_from_wire, sighting_refusal},
+    task_runs::{self, task_run_from_wire},
+    traversals::{self, refusal_of, traversal_from_wire, unknown_edge},
 };
-use crate::v1;
+use crate::v1::{self, report::Report as Content};
+
+/// Maximum number of sightings of one message: each may be an observation of thousands of landmarks.
+pub const SIGHTINGS_MAX: usize = 64;
+/// Maximum number of bytes of all texts of one message of reports: a record of the log has a bounded length and
+/// contains a text up to three times, in the names of two states and in a failure.
+pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
+/// Maximum number of bytes of a run of a task on the wire in addition to its texts, and of the report around it.
+const RUN_BYTES_EXTRA: usize = 64;
+/// Maximum number of bytes of a report on the wire in addition to what it is of.
+const REPORT_BYTES_EXTRA: usize = 12;
 
 /// Reports of one message.
 #[derive(Clone, Debug)]
 pub struct ReportMessage {
     /// Sequence numbers of the reports.
     pub sequences: RangeInclusive<u64>,
-    /// The reports as sent; at least one.
+    /// The reports; at least one.
     pub reports: Vec<SentReport>,
 }
 
-/// Traversals of one message.
-///
-/// # Errors
-/// There are none, or a first sequence number of 0.
-pub fn traversals_from_wire(batch: v1::TraversalBatch) -> Result<ReportMessage, InvalidField> {
-    let reports = batch.traversals.into_iter().map(SentReport::Traversal).collect();
-    message("traversals.traversals", batch.first_sequence, reports)
+/// A report as sent, checked as far as this is possible without the map.
+#[derive(Clone, Debug)]
+pub struct SentReport {
+    /// When it begins, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// The report, or why it is refused: the reason for programs, and the reason in words.
+    pub checked: Result<Report, (RefusalReason, String)>,
+    /// Bytes of its texts.
+    pub text_bytes: usize,
+    /// The bytes that `Welcome.content_crc` covers.
+    pub content: Vec<u8>,
+    /// Whether it is of a sighting.
+    is_sighting: bool,
 }
 
-/// Sightings of one message.
-///
-/// # Errors
-/// There are none, or a first sequence number of 0.
-pub fn sightings_from_wire(batch: v1::SightingBatch) -> Result<ReportMessage, InvalidField> {
-    let reports = batch.sightings.into_iter().map(SentReport::Sighting).collect();
-    message("sightings.sightings", batch.first_sequence, reports)
-}
-
-fn message(field: &str, first_sequence: u64, reports: Vec<SentReport>) -> Result<ReportMessage, InvalidField> {
-    let sequences = sequences_from_wire(first_sequence, reports.len())?;
-    if reports.is_empty() {
-        return Err(InvalidField::new(field, "missing: send at least 1"));
+impl SentReport {
+    fn from_wire(sent: &v1::Report) -> Self {
+        let mut content = Vec::new();
+        append_content(sent, &mut content);
+        let (time_nanos, checked) = match &sent.report {
+            Some(Content::Traversal(sent)) => (sent.start_nanos, traversal_from_wire(sent).map(Report::Traversal)),
+            Some(Content::Sighting(sent)) => (sent.time_nanos, sighting_from_wire(sent).map(Report::Sighting)),
+            Some(Content::TaskRun(sent)) => (sent.start_nanos, task_run_from_wire(sent).map(Report::TaskRun)),
+            None => {
+                let text = "the report is empty: expected a traversal, a sighting or a run of a task";
+                (0, Err((RefusalReason::Value, text.to_owned())))
+            }
+        };
+        Self { time_nanos, checked, text_bytes: text_bytes(sent), content, is_sighting: is_sighting(sent) }
     }
-    Ok(ReportMessage { sequences, reports })
+
+    /// A run of a task that was not sent as one of a stream.
+    #[must_use]
+    pub fn of_run(run: TaskRun) -> Self {
+        let mut content = Vec::new();
+        task_runs::append_run(&run, &mut content);
+        let text_bytes = run.name.to_string().len() + run.reason.len();
+        let time_nanos = run.start_nanos;
+        Self { time_nanos, checked: Ok(Report::TaskRun(run)), text_bytes, content, is_sighting: false }
+    }
+
+    /// Bytes of its observations in the log, at most; see [`Report::log_bytes`].
+    fn log_bytes(&self, site: &Site) -> usize {
+        self.checked.as_ref().map_or(0, |report| report.log_bytes(site))
+    }
+}
+
+/// Reports of one message.
+///
+/// # Errors
+/// There are none, or a first sequence number of 0.
+pub fn reports_from_wire(batch: &v1::ReportBatch) -> Result<ReportMessage, InvalidField> {
+    ReportMessage::new(batch.first_sequence, batch.reports.iter().map(SentReport::from_wire).collect())
 }
 
 impl ReportMessage {
+    /// Reports with these sequence numbers.
+    ///
+    /// # Errors
+    /// There are none, or a first sequence number of 0.
+    pub fn new(first_sequence: u64, reports: Vec<SentReport>) -> Result<Self, InvalidField> {
+        let sequences = sequences_from_wire(first_sequence, reports.len())?;
+        if reports.is_empty() {
+            return Err(InvalidField::new("reports.reports", "missing: send at least 1"));
+        }
+        Ok(Self { sequences, reports })
+    }
+
     /// Checks how many reports there are. `observations`: the limit of the observations of a message, of which a
-    /// traversal is two.
+    /// traversal is two, and a run of a task as well.
     ///
     /// # Errors
     /// [`OverLimit`]
     pub fn check_count(&self, observations: usize) -> Result<(), OverLimit> {
-        let count = |sightings: bool| self.reports.iter().filter(|report| report.is_sighting() == sightings).count();
-        let what = "observations of one message, traversals counted as two each";
+        let sightings = self.reports.iter().filter(|report| report.is_sighting).count();
+        let others = self.reports.len() - sightings;
+        let what = "observations of one message, traversals and runs of tasks counted as two each";
         // One always fits.
-        let (got, max) = (count(false).saturating_mul(2), observations.max(2));
+        let (got, max) = (others.saturating_mul(2), observations.max(2));
         OverLimit::check(what, got, max, "setting max_batch_observations")?;
-        OverLimit::check("sightings of one message", count(true), SIGHTINGS_MAX, "the protocol")
+        OverLimit::check("sightings of one message", sightings, SIGHTINGS_MAX, "the protocol")
     }
-}
 
-impl ReportMessage {
-    /// The message in parts of at most `bytes_max`, as `bytes_of` counts them; a part has at least one report.
+    /// The message in parts whose observations have at most `log_bytes` in the log of a map with this site; a part has
+    /// at least one report.
     #[must_use]
-    pub fn parts(self, bytes_max: usize, bytes_of: impl Fn(&SentReport) -> usize) -> Vec<ReportMessage> {
+    pub fn parts(self, log_bytes: usize, site: &Site) -> Vec<ReportMessage> {
         let mut parts: Vec<ReportMessage> = Vec::new();
         let (mut bytes, mut sequence) = (0_usize, *self.sequences.start());
         for report in self.reports {
-            let more = bytes_of(&report);
+            let more = report.log_bytes(site);
             match parts.last_mut() {
-                Some(part) if bytes.saturating_add(more) <= bytes_max => {
+                Some(part) if bytes.saturating_add(more) <= log_bytes => {
                     bytes += more;
                     part.sequences = *part.sequences.start()..=sequence;
                     part.reports.push(report);
@@ -90,55 +147,51 @@ impl ReportMessage {
     }
 }
 
-/// A report as sent, not checked.
-#[derive(Clone, Debug)]
-pub enum SentReport {
-    /// A robot travelled an edge or did a task, or tried to.
-    Traversal(v1::Traversal),
-    /// A robot looked for the landmarks of a place.
-    Sighting(v1::Sighting),
+/// Whether a report is of a sighting.
+#[must_use]
+pub fn is_sighting(sent: &v1::Report) -> bool {
+    matches!(sent.report, Some(Content::Sighting(_)))
 }
 
-impl SentReport {
-    fn is_sighting(&self) -> bool {
-        matches!(self, Self::Sighting(_))
+/// Bytes of a report's texts.
+fn text_bytes(sent: &v1::Report) -> usize {
+    match &sent.report {
+        Some(Content::Traversal(sent)) => traversals::text_bytes(sent),
+        Some(Content::Sighting(sent)) => sightings::text_bytes(sent),
+        Some(Content::TaskRun(sent)) => task_runs::text_bytes(sent),
+        None => 0,
     }
+}
 
-    /// When it begins, nanoseconds UTC.
-    #[must_use]
-    pub fn time_nanos(&self) -> i64 {
-        match self {
-            Self::Traversal(traversal) => traversal.start_nanos,
-            Self::Sighting(sighting) => sighting.time_nanos,
+/// Maximum number of bytes of a report in a message.
+#[must_use]
+pub fn wire_bytes(sent: &v1::Report) -> usize {
+    REPORT_BYTES_EXTRA
+        + match &sent.report {
+            Some(Content::Traversal(sent)) => traversals::wire_bytes(sent),
+            Some(Content::Sighting(sent)) => sightings::wire_bytes(sent),
+            Some(Content::TaskRun(sent)) => RUN_BYTES_EXTRA + task_runs::text_bytes(sent),
+            None => 0,
         }
+}
+
+/// Appends the bytes of a report that `Welcome.content_crc` covers.
+pub fn append_content(sent: &v1::Report, bytes: &mut Vec<u8>) {
+    match &sent.report {
+        Some(Content::Traversal(sent)) => traversals::append_content(sent, bytes),
+        Some(Content::Sighting(sent)) => sightings::append_content(sent, bytes),
+        Some(Content::TaskRun(sent)) => task_runs::append_content(sent, bytes),
+        None => {}
     }
+}
 
-    /// Bytes of its texts.
-    #[must_use]
-    pub fn text_bytes(&self) -> usize {
-        match self {
-            Self::Traversal(traversal) => traversals::text_bytes(traversal),
-            Self::Sighting(sighting) => sightings::text_bytes(sighting),
-        }
-    }
-
-    /// Appends the bytes that `Welcome.content_crc` covers.
-    pub fn append_content(&self, bytes: &mut Vec<u8>) {
-        match self {
-            Self::Traversal(traversal) => traversals::append_content(traversal, bytes),
-            Self::Sighting(sighting) => sightings::append_content(sighting, bytes),
-        }
-    }
-
-    /// The checked report. Whether the place exists is not checked.
-    ///
-    /// # Errors
-    /// The reason for programs, and the reason in words.
-    pub fn check(&self) -> Result<PlaceReport, (RefusalReason, String)> {
-        match self {
-            Self::Traversal(traversal) => work_from_wire(traversal),
-            Self::Sighting(sighting) => sighting_from_wire(sighting).map(PlaceReport::Sighting),
-        }
+/// The refusal of a report.
+#[must_use]
+pub fn report_refusal(error: &ReportError) -> (RefusalReason, String) {
+    match error {
+        ReportError::Edge(error) => unknown_edge(error),
+        ReportError::Traversal(error) => refusal_of(error),
+        ReportError::Sighting(error) => sighting_refusal(error),
     }
 }
 
@@ -146,18 +199,64 @@ impl SentReport {
 mod tests {
     use super::*;
 
+    fn report(content: Content) -> v1::Report {
+        v1::Report { report: Some(content) }
+    }
+
+    fn traversal(start_nanos: i64) -> v1::Report {
+        report(Content::Traversal(v1::Traversal {
+            from: "hall".to_owned(),
+            to: "lab".to_owned(),
+            start_nanos,
+            end_nanos: start_nanos + 1,
+            success: true,
+            ..v1::Traversal::default()
+        }))
+    }
+
+    fn run() -> v1::TaskRun {
+        let (kind, node) = ("clean".to_owned(), "hall".to_owned());
+        v1::TaskRun { kind, node, start_nanos: 5, end_nanos: 9, ..v1::TaskRun::default() }
+    }
+
     #[test]
-    fn parts_are_the_message_in_order_and_none_is_too_large_but_for_one_report() {
-        let sighting = |number: i64| v1::Sighting { time_nanos: number, ..v1::Sighting::default() };
-        let batch = v1::SightingBatch { first_sequence: 7, sightings: (1..=5).map(sighting).collect() };
-        let message = sightings_from_wire(batch).expect("valid");
-        // Of 3, 3, 9, 1 and 1 bytes.
-        let bytes = |report: &SentReport| [3, 3, 9, 1, 1][report.time_nanos() as usize - 1];
-        let parts: Vec<_> = message
-            .parts(6, bytes)
-            .into_iter()
-            .map(|part| (part.sequences, part.reports.iter().map(SentReport::time_nanos).collect::<Vec<_>>()))
-            .collect();
-        assert_eq!(parts, [(7..=8, vec![1, 2]), (9..=9, vec![3]), (10..=11, vec![4, 5])]);
+    fn a_message_may_have_reports_of_each_kind() {
+        let sighting = report(Content::Sighting(v1::Sighting { time_nanos: 7, ..v1::Sighting::default() }));
+        let reports = vec![traversal(3), sighting, report(Content::TaskRun(run())), v1::Report::default()];
+        let message = reports_from_wire(&v1::ReportBatch { first_sequence: 4, reports }).expect("a message");
+        assert_eq!(message.sequences, 4..=7);
+        let [traversal, sighting, task_run, empty] = message.reports.as_slice() else { panic!("{message:?}") };
+        assert!(matches!(traversal.checked, Ok(Report::Traversal(_))));
+        assert!(matches!(task_run.checked, Ok(Report::TaskRun(_))));
+        assert_eq!(sighting.checked.as_ref().expect_err("it has no place").0, RefusalReason::Landmark);
+        assert_eq!(empty.checked.as_ref().expect_err("it is empty").0, RefusalReason::Value);
+        assert_eq!([traversal, sighting, task_run].map(|report| report.time_nanos), [3, 7, 5]);
+        message.check_count(6).expect("each but the sighting counts twice");
+        message.check_count(5).expect_err("three reports are six observations");
+    }
+
+    #[test]
+    fn a_run_of_a_request_is_that_of_a_stream() {
+        let of_stream = SentReport::from_wire(&report(Content::TaskRun(run())));
+        let of_request = SentReport::of_run(task_run_from_wire(&run()).expect("valid"));
+        assert_eq!(of_request.content, of_stream.content);
+        assert_eq!((of_request.time_nanos, of_request.checked), (of_stream.time_nanos, of_stream.checked));
+    }
+
+    #[test]
+    fn parts_are_the_message_in_order_and_only_a_single_report_is_too_large() {
+        let reports = vec![traversal(1), traversal(2), traversal(3)];
+        let message = reports_from_wire(&v1::ReportBatch { first_sequence: 7, reports }).expect("valid");
+        let site = Site::default();
+        let one = message.reports[0].log_bytes(&site);
+        assert!(one > 0);
+        let parts = |log_bytes| {
+            let parts = message.clone().parts(log_bytes, &site).into_iter();
+            parts
+                .map(|part| (part.sequences, part.reports.iter().map(|sent| sent.time_nanos).collect::<Vec<_>>()))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(parts(2 * one), [(7..=8, vec![1, 2]), (9..=9, vec![3])]);
+        assert_eq!(parts(1), [(7..=7, vec![1]), (8..=8, vec![2]), (9..=9, vec![3])]);
     }
 }

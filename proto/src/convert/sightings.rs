@@ -14,8 +14,6 @@ use super::{
 };
 use crate::v1::{self, landmark_place::Place};
 
-/// Maximum number of sightings of one message: each may be an observation of thousands of landmarks.
-pub const SIGHTINGS_MAX: usize = 64;
 /// Maximum number of bytes of a sighting on the wire in addition to its texts, and of a name in addition to its own.
 const SIGHTING_BYTES_EXTRA: usize = 64;
 const NAME_BYTES_EXTRA: usize = 6;
@@ -37,9 +35,6 @@ pub fn sighting_from_wire(wire: &v1::Sighting) -> Result<Sighting, (RefusalReaso
     };
     if *time_nanos < 0 {
         return Err(sighting_refusal(&SightingError::Before1970(*time_nanos)));
-    }
-    if traversal.as_ref().is_some_and(|traversal| !traversal.task.is_empty() || traversal.intervention) {
-        return Err((RefusalReason::Edge, "the traversal of a sighting is of an edge, not of a task".to_owned()));
     }
     let traversal = traversal.as_ref().map(traversal_from_wire).transpose()?;
     Ok(Sighting {
@@ -96,12 +91,12 @@ pub fn text_bytes(sighting: &v1::Sighting) -> usize {
 
 /// Maximum number of bytes of a sighting in a message.
 #[must_use]
-pub fn wire_bytes(sighting: &v1::Sighting) -> usize {
+pub(super) fn wire_bytes(sighting: &v1::Sighting) -> usize {
     2 * SIGHTING_BYTES_EXTRA + text_bytes(sighting)
 }
 
 /// Appends the bytes of a sighting that `Welcome.content_crc` covers.
-pub fn append_content(sighting: &v1::Sighting, bytes: &mut Vec<u8>) {
+pub(super) fn append_content(sighting: &v1::Sighting, bytes: &mut Vec<u8>) {
     let v1::Sighting { place, time_nanos, seen, out_of_view, traversal } = sighting;
     bytes.extend_from_slice(b"landmark");
     for text in place_texts(place.as_ref()).into_iter().filter(|text| !text.is_empty()) {
@@ -162,6 +157,12 @@ impl SightingReport {
         let place = Some(v1::LandmarkPlace { place: Some(place), from_m, to_m });
         let traversal = traversal.as_ref().map(report_to_wire);
         v1::Sighting { place, time_nanos, seen, out_of_view, traversal }
+    }
+
+    /// The report for the wire.
+    #[must_use]
+    pub fn to_report(&self) -> v1::Report {
+        v1::Report { report: Some(v1::report::Report::Sighting(self.to_wire())) }
     }
 
     /// Why the report is invalid, as far as this is known without the map. The daemon refuses it for the same reason.

@@ -244,22 +244,6 @@ pub fn run_from_wire(request: &v1::ReportTaskRequest, now_nanos: i64) -> Result<
     Ok(run)
 }
 
-/// A report of a task as a stream carries it.
-#[must_use]
-pub fn run_to_traversal(run: &TaskRun) -> v1::Traversal {
-    let TaskRun { name, start_nanos, end_nanos, success, intervention, reason } = run;
-    v1::Traversal {
-        from: name.node.to_string(),
-        start_nanos: *start_nanos,
-        end_nanos: *end_nanos,
-        success: *success,
-        reason: reason.clone(),
-        task: name.kind.to_string(),
-        intervention: *intervention,
-        ..v1::Traversal::default()
-    }
-}
-
 /// The hours in which a robot may work by itself.
 ///
 /// # Errors

@@ -1,12 +1,10 @@
-//! Reports of traversals, and failed traversals.
+//! Traversals that robots report, and failed traversals.
 //!
 //! Invariant: an invalid traversal is refused on its own, with a reason for programs and one in words.
 
 use tidemap_map::{
     ids::RefusalReason,
-    name::{EdgeName, EdgeState, TaskName},
-    sighting::PlaceReport,
-    task::TaskRun,
+    name::{EdgeName, EdgeState},
     traversal::{EdgeFailure, Traversal, TraversalError, kept_reason},
 };
 
@@ -16,17 +14,13 @@ use super::{
 };
 use crate::v1;
 
-/// Maximum number of bytes of all texts of one message of traversals: a record of the log has a bounded length and
-/// contains a text up to three times, in the names of two states and in a failure.
-pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
-
 /// How to find a valid edge.
 const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
 
 /// Bytes of a traversal's texts.
 pub(super) fn text_bytes(traversal: &v1::Traversal) -> usize {
-    let v1::Traversal { from, to, action, reason, task, .. } = traversal;
-    [from, to, action, reason, task].map(String::len).iter().sum()
+    let v1::Traversal { from, to, action, reason, .. } = traversal;
+    [from, to, action, reason].map(String::len).iter().sum()
 }
 
 /// A checked traversal. Whether the edge exists is not checked.
@@ -34,35 +28,12 @@ pub(super) fn text_bytes(traversal: &v1::Traversal) -> usize {
 /// # Errors
 /// The reason for programs, and the reason in words.
 pub fn traversal_from_wire(wire: &v1::Traversal) -> Result<Traversal, (RefusalReason, String)> {
-    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason, .. } = wire;
+    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = wire;
     let edge = EdgeName::new(from, to, action).map_err(|error| unknown_edge(&error))?;
     let (start_nanos, end_nanos, success) = (*start_nanos, *end_nanos, *success);
     let traversal = Traversal { edge, start_nanos, end_nanos, success, reason: kept_reason(reason) };
     traversal.check().map_err(|error| refusal_of(&error))?;
     Ok(traversal)
-}
-
-/// A checked report of an edge or, if it names a task, of a task. Whether the edge exists is not checked.
-///
-/// # Errors
-/// The reason for programs, and the reason in words.
-pub fn work_from_wire(wire: &v1::Traversal) -> Result<PlaceReport, (RefusalReason, String)> {
-    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason, task, intervention } = wire;
-    if task.is_empty() {
-        if *intervention {
-            return Err((RefusalReason::Value, "an intervention belongs to a task, not to a traversal".to_owned()));
-        }
-        return traversal_from_wire(wire).map(PlaceReport::Traversal);
-    }
-    if !(to.is_empty() && action.is_empty()) {
-        let text = "the report of a task names its node as `from`, without `to` and `action`";
-        return Err((RefusalReason::StateName, text.to_owned()));
-    }
-    let name = TaskName::new(task, from).map_err(|error| (RefusalReason::StateName, error.to_string()))?;
-    let (start_nanos, end_nanos, success, intervention) = (*start_nanos, *end_nanos, *success, *intervention);
-    let run = TaskRun { name, start_nanos, end_nanos, success, intervention, reason: kept_reason(reason) };
-    run.check().map_err(|error| refusal_of(&error))?;
-    Ok(PlaceReport::Task(run))
 }
 
 /// A traversal for the wire.
@@ -77,7 +48,6 @@ pub fn traversal_to_wire(traversal: &Traversal) -> v1::Traversal {
         end_nanos: *end_nanos,
         success: *success,
         reason: reason.clone(),
-        ..v1::Traversal::default()
     }
 }
 
@@ -110,19 +80,25 @@ impl TraversalReport {
     pub fn wrong(&self) -> Option<String> {
         traversal_from_wire(&report_to_wire(self)).err().map(|(_, text)| text)
     }
+
+    /// The report for the wire, with the reason as the daemon keeps it.
+    #[must_use]
+    pub fn to_report(&self) -> v1::Report {
+        v1::Report { report: Some(v1::report::Report::Traversal(report_to_wire(self))) }
+    }
 }
 
-/// A report for the wire, with the reason as the daemon keeps it.
+/// A traversal for the wire, with the reason as the daemon keeps it.
 #[must_use]
-pub fn report_to_wire(report: &TraversalReport) -> v1::Traversal {
+pub(super) fn report_to_wire(report: &TraversalReport) -> v1::Traversal {
     let TraversalReport { from, to, action, start_nanos, end_nanos, success, reason } = report.clone();
     let reason = kept_reason(&reason);
-    v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason, ..v1::Traversal::default() }
+    v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason }
 }
 
 /// Maximum number of bytes of a traversal in a message.
 #[must_use]
-pub fn wire_bytes(traversal: &v1::Traversal) -> usize {
+pub(super) fn wire_bytes(traversal: &v1::Traversal) -> usize {
     TRAVERSAL_BYTES_EXTRA + text_bytes(traversal)
 }
 
@@ -146,19 +122,8 @@ pub fn refusal_of(error: &TraversalError) -> (RefusalReason, String) {
 }
 
 /// Appends the bytes of a traversal that `Welcome.content_crc` covers.
-pub fn append_content(traversal: &v1::Traversal, bytes: &mut Vec<u8>) {
-    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason, task, intervention } = traversal;
-    if !task.is_empty() {
-        bytes.extend_from_slice(format!("task/{task}/{from}").as_bytes());
-        // They are empty in every valid report.
-        bytes.extend_from_slice(to.as_bytes());
-        bytes.extend_from_slice(action.as_bytes());
-        bytes.extend_from_slice(&start_nanos.to_le_bytes());
-        bytes.extend_from_slice(&end_nanos.to_le_bytes());
-        bytes.extend([u8::from(*success), u8::from(*intervention)]);
-        bytes.extend_from_slice(reason.as_bytes());
-        return;
-    }
+pub(super) fn append_content(traversal: &v1::Traversal, bytes: &mut Vec<u8>) {
+    let v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason } = traversal;
     for (place, part) in [EdgeState::Success.prefix(), from, to, action].into_iter().enumerate() {
         if place == 3 && part.is_empty() {
             continue;
@@ -214,33 +179,7 @@ mod tests {
             end_nanos: 9,
             success: false,
             reason: text("stuck"),
-            ..v1::Traversal::default()
         }
-    }
-
-    fn task() -> v1::Traversal {
-        let (task, to, action) = ("clean".to_owned(), String::new(), String::new());
-        v1::Traversal { task, to, action, intervention: true, ..wire() }
-    }
-
-    #[test]
-    fn a_report_of_a_task_is_no_traversal() {
-        let Ok(PlaceReport::Task(run)) = work_from_wire(&task()) else { panic!("a task") };
-        assert_eq!((run.name.to_string(), run.success, run.intervention), ("clean/Hall".to_owned(), false, true));
-        assert_eq!(super::super::task::run_to_traversal(&run), task());
-        assert!(matches!(work_from_wire(&wire()), Ok(PlaceReport::Traversal(_))));
-        for (wrong, reason) in [
-            (v1::Traversal { to: "Lab".to_owned(), ..task() }, RefusalReason::StateName),
-            (v1::Traversal { task: "a/b".to_owned(), ..task() }, RefusalReason::StateName),
-            (v1::Traversal { end_nanos: 4, ..task() }, RefusalReason::Time),
-            (v1::Traversal { intervention: true, ..wire() }, RefusalReason::Value),
-        ] {
-            assert_eq!(work_from_wire(&wrong).expect_err("wrong").0, reason);
-        }
-        let mut bytes = Vec::new();
-        append_content(&task(), &mut bytes);
-        let times = [5_i64.to_le_bytes(), 9_i64.to_le_bytes()].concat();
-        assert_eq!(bytes, [b"task/clean/Hall".as_slice(), &times, &[0, 1], b"stuck"].concat());
     }
 
     #[test]

@@ -47,6 +47,7 @@ pub mod mask;
 pub mod observation_runs;
 pub mod observed_times;
 pub mod outcome;
+pub mod pace;
 pub mod paging;
 pub mod predict;
 pub mod raycast;

@@ -180,6 +180,11 @@ impl LogHead {
         }
     }
 
+    /// Number of tiles after everything in flight is applied.
+    pub fn tiles(&self) -> usize {
+        self.tiles
+    }
+
     /// Turns a scan of a stream into one for the log. `stream` is the stream's number, not 0.
     ///
     /// # Errors

@@ -7,10 +7,7 @@
 //! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9, and the
 //! errors of its orders to 1e-3.
 
-use std::{
-    collections::HashMap,
-    sync::{Arc, atomic::AtomicU64},
-};
+use std::{collections::HashMap, sync::Arc};
 
 use rayon::prelude::*;
 use tidemap_model::ORDER_MAX;
@@ -21,6 +18,7 @@ use crate::{
     generation::Generation,
     index::TileId,
     outcome::{CellsByOrder, GridOutcome, TileOutcome},
+    pace::Pace,
     tile::{ModelSlot, SumsSlot, TileData, TileModel, TileSums, TileUnavailable},
 };
 
@@ -91,19 +89,19 @@ impl GridWork {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
 
-    /// Runs the update on the threads of the rayon pool that this is called in. `progress` counts tiles; each tile is
-    /// done in equal parts on each of its days.
+    /// Runs the update on the threads of the rayon pool that this is called in. `pace` counts tiles; each tile is done
+    /// in equal parts on each of its days.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile cannot be read back from the disk; nothing has been learned then.
-    pub fn run(mut self, progress: &AtomicU64) -> Result<GridResult, TileUnavailable> {
+    pub fn run(mut self, pace: &dyn Pace) -> Result<GridResult, TileUnavailable> {
         let mut sums = std::mem::take(&mut self.sums);
         sums.resize_with(self.tiles, SumsSlot::default);
         let mut models = self.generation.models.clone();
         models.resize_with(self.tiles, ModelSlot::default);
         let mut outcome = GridOutcome::default();
         let mut tiles = Tiles { rules: &self.rules, models: &models, sums: &mut sums, busy: HashMap::new() };
-        let meter = ProgressMeter::new(progress, self.busy_tiles(), &self.days);
+        let meter = ProgressMeter::new(pace, self.busy_tiles(), &self.days);
         for day in &self.days {
             outcome.scans += day.scans.len() as u64;
             let (batches, skipped) = tiles.batches(day, &mut outcome.cells_by_order_before)?;

@@ -35,7 +35,7 @@ const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// hour of the week.
 const PRIOR_REPORTS: f64 = 2.0;
 /// Weight, in reports, that a report at about an hour adds to the edge's model against the map's mean at that hour.
-/// Chosen with the seeds 100 to 107 of `tidemap experiment routes`, among 1, 4, 16 and 64.
+/// Chosen with the seeds 100 to 107 of `tidemap-research routes`, among 1, 4, 16 and 64.
 const MODEL_PER_REPORT: f64 = 16.0;
 /// Weight of a report that is 0, 1 or 2 hours of the day away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];

@@ -4,6 +4,8 @@
 //! of which nothing remains becomes the edit that sets the charger to where it already is. Nor do the producers' marks:
 //! an erased observation still counts as acknowledged, so that it is ignored when it is sent again.
 //!
+//! What else names states is in the table of `references.rs`.
+//!
 //! Invariant: the remaining states keep every bit of what they have learned, and of what they still have to learn.
 
 use std::{
@@ -19,16 +21,18 @@ use crate::{
     ids::{ProducerId, StateId},
     live_map::rename::renamed_states,
     name::{EdgeState, ProducerKey, StateName},
-    site::{Location, Site, SiteEdit},
+    site::{Site, SiteEdit},
     snapshot::{MapSnapshot, StateSnapshot},
-    task::{TaskRun, TaskRuns},
-    traversal::{EdgeFailure, Failures},
+    task::TaskRun,
+    traversal::EdgeFailure,
 };
 
+mod references;
 mod relearn;
 mod request;
 mod selection;
 
+use references::REFERENCES;
 pub use relearn::Relearning;
 pub use request::{ErasureRequest, RequestedPart};
 pub use selection::{Decision, NotErasable, Selection, Survey};
@@ -51,6 +55,8 @@ pub struct StateErasure {
     erased: Vec<StateId>,
     /// Names of the erased states, as far as they are known.
     names: BTreeMap<StateId, StateName>,
+    /// All names that they have had or will have.
+    all_names: BTreeSet<StateName>,
     /// Position of the snapshot; 0 without one.
     position: u64,
     /// Where the charger is.
@@ -68,8 +74,8 @@ impl StateErasure {
     pub fn new(mut erased: Vec<StateId>) -> Self {
         erased.sort_unstable();
         erased.dedup();
-        let (names, locations, keys) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new());
-        Self { erased, names, position: 0, charger_m: None, locations, part: None, keys }
+        let (names, all_names, keys) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new());
+        Self { erased, names, all_names, position: 0, charger_m: None, locations: BTreeSet::new(), part: None, keys }
     }
 
     /// The erasure of these states, and of the selected observations of the others. `relearned`: the states of the
@@ -117,6 +123,7 @@ impl StateErasure {
                 let relearned = self.part.as_mut().and_then(|part| part.relearned.remove(&id));
                 states.push(relearned.unwrap_or(state));
             } else {
+                self.all_names.insert(state.name.clone());
                 self.names.insert(id, state.name);
             }
         }
@@ -136,38 +143,23 @@ impl StateErasure {
         snapshot
     }
 
+    /// The site without what names the states.
     fn site(&self, site: &Site) -> Site {
-        let mut failures = Failures::default();
-        let is_selected = |failure: &EdgeFailure| {
-            let failed = self.part.as_ref().map(|part| &part.decision.failed);
-            failed.is_some_and(|f| f.contains(&(failure.edge.state(EdgeState::Success), failure.start_nanos)))
-        };
-        let failures_of = site.failures().oldest_first();
-        let kept = failures_of.filter(|failure| !self.is_of_erased(failure) && !is_selected(failure));
-        kept.for_each(|failure| failures.add(failure.clone()));
-        let locations = site.locations().iter();
-        let locations = locations.filter_map(|(name, location)| Some((name.clone(), self.location(location)?)));
-        let mut runs = TaskRuns::default();
-        let is_left = |run: &TaskRun| {
-            let (name, start) = (run.name.state(), run.start_nanos);
-            let selected = self.part.as_ref().map(|part| &part.decision.failed);
-            !self.names.values().any(|known| *known == name) && !selected.is_some_and(|s| s.contains(&(name, start)))
-        };
-        site.tasks().runs().oldest_first().filter(|run| is_left(run)).for_each(|run| runs.add(run.clone()));
-        let tasks = site.tasks().clone().with_runs(runs);
-        site.clone().with_failures(failures).with_locations(locations.collect()).with_tasks(tasks)
+        REFERENCES.iter().fold(site.clone(), |site, reference| (reference.site)(self, site))
     }
 
-    /// A location without the states; `None` where nothing else is observed there.
-    fn location(&self, location: &Location) -> Option<Location> {
-        let states = self.ids(&location.states);
-        let is_left = !states.is_empty() || !location.cells.is_empty();
-        is_left.then(|| Location { states, ..location.clone() })
-    }
-
-    fn is_of_erased(&self, failure: &EdgeFailure) -> bool {
-        let of_edge = [EdgeState::Success, EdgeState::Speed, EdgeState::Pace].map(|what| failure.edge.state(what));
-        self.names.values().any(|name| of_edge.contains(name))
+    /// Notes the names that an event gives to the states. Called for all events before any is rewritten: a task may
+    /// name a state before there is one.
+    pub fn note(&mut self, event: &Event) {
+        let new = match event {
+            Event::Observations(_, observations) => &observations.new_states[..],
+            Event::AddState(new) => std::slice::from_ref(new),
+            _ => &[],
+        };
+        for new in new.iter().filter(|new| self.id(new.id).is_none()).cloned().collect::<Vec<_>>() {
+            self.all_names.extend(new.states().map(|(_, name, _)| name));
+            self.all_names.insert(new.name);
+        }
     }
 
     /// The event at a log position without the states.
@@ -188,7 +180,9 @@ impl StateErasure {
                 self.rename(&mut envelope);
                 Event::Scans(envelope, scans)
             }
-            event @ (Event::UpdateStart(_) | Event::Epoch(_) | Event::UpdateDone(_)) => event,
+            event @ (Event::UpdateStart(_) | Event::Epoch(_) | Event::UpdateDone(_) | Event::ForgetProducers(_)) => {
+                event
+            }
         }
     }
 
@@ -210,6 +204,8 @@ impl StateErasure {
             Some(id) => Some(NewState { id, ..new }),
             None => {
                 self.names.extend(new.states().map(|(id, name, _)| (id, name)));
+                self.all_names.extend(self.names.values().cloned());
+                self.all_names.insert(new.name);
                 None
             }
         }
@@ -219,11 +215,14 @@ impl StateErasure {
         let edit = match edit {
             SiteEdit::SetLocation(name, location) => match self.location(&location) {
                 Some(location) => SiteEdit::SetLocation(name, location),
+                // The snapshot is without it.
+                None if position <= self.position => return self.unchanged(),
                 // It replaced what had its name.
                 None => SiteEdit::RemoveLocation(name),
             },
             edit => edit,
         };
+        let edit = REFERENCES.iter().fold(edit, |edit, reference| (reference.edit)(self, edit));
         // The snapshot has the earlier edits, which are not applied again.
         if position > self.position {
             match &edit {
@@ -235,6 +234,7 @@ impl StateErasure {
                 SiteEdit::Topology(_) => {
                     let renamed = renamed_states(&edit, self.names.iter().map(|(&id, name)| (id, name)));
                     self.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));
+                    self.all_names.extend(self.names.values().cloned());
                     if let Some(part) = &mut self.part {
                         let renamed = renamed_states(&edit, part.names.iter().map(|(&id, name)| (id, name)));
                         part.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));

@@ -379,6 +379,8 @@ pub enum Event {
     Epoch(Epoch),
     /// The writer has ended an update; changes nothing else, because every replica runs the update itself.
     UpdateDone(UpdateDone),
+    /// Producers that will not come back give their places up. What they sent keeps its numbers.
+    ForgetProducers(Vec<ProducerId>),
 }
 
 impl Event {
@@ -390,7 +392,8 @@ impl Event {
             | Event::AddState(_)
             | Event::EditSite(_)
             | Event::Epoch(_)
-            | Event::UpdateDone(_) => None,
+            | Event::UpdateDone(_)
+            | Event::ForgetProducers(_) => None,
         }
     }
 }

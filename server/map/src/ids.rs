@@ -52,11 +52,13 @@ pub struct NewProducer {
     pub key: ProducerKey,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
+    /// The client that introduces it, as shares count clients; empty: one without a share.
+    pub introduced_by: String,
 }
 
 impl From<ProducerKey> for NewProducer {
     /// A producer that has the map's own sensor.
     fn from(key: ProducerKey) -> NewProducer {
-        NewProducer { key, sensor: None }
+        NewProducer { key, sensor: None, introduced_by: String::new() }
     }
 }

@@ -20,6 +20,8 @@ pub mod name;
 pub mod no_go;
 pub mod predict;
 pub mod reachability;
+pub mod report;
+pub mod report_sample;
 pub mod row_samples;
 pub mod sighting;
 pub mod site;

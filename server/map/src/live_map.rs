@@ -32,6 +32,10 @@ mod updates;
 #[cfg(test)]
 mod tests;
 
+/// Maximum number of readings that the rows of all states of a map stand for in a day: those of 100,000 states that are
+/// read off every five minutes. An update learns at least one local day.
+pub const ROW_READINGS_A_DAY_MAX: u64 = 28_800_000;
+
 /// An event is inconsistent with the events before it: this map did not write the log.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("event at log position {position} does not fit the map: {reason}")]
@@ -62,13 +66,19 @@ pub struct LiveMap {
     observations: u64,
     producers: Vec<ProducerMark>,
     producer_ids: HashMap<ProducerKey, ProducerId>,
+    /// How many producers have given their places up.
+    forgotten: usize,
     directory: Directory,
     live: Vec<LiveState>,
     live_published: Vec<Arc<[LiveState]>>,
     live_dirty: Vec<bool>,
     /// The states that report changes or events, ascending.
     with_rows: Vec<StateId>,
+    /// Readings that their rows stand for in a day, at most.
+    row_readings_a_day: u64,
     models: Arc<Vec<Arc<StateModel>>>,
+    /// Rows that updates have taken and not learned yet.
+    waiting_rows: u64,
     prior_models: PriorModels,
     pending: Pending,
     /// While a snapshot's pending observations are read again: how many of each state's have been read.
@@ -93,12 +103,15 @@ impl LiveMap {
             observations: 0,
             producers: Vec::new(),
             producer_ids: HashMap::new(),
+            forgotten: 0,
             directory: Directory::new(),
             live: Vec::new(),
             live_published: Vec::new(),
             live_dirty: Vec::new(),
             with_rows: Vec::new(),
+            row_readings_a_day: 0,
             models: Arc::new(Vec::new()),
+            waiting_rows: 0,
             prior_models,
             pending: Pending::default(),
             recovered: HashMap::new(),
@@ -135,6 +148,7 @@ impl LiveMap {
             models.push(state.model);
         }
         map.models = Arc::new(models);
+        map.waiting_rows = map.count_waiting_rows();
         map.site = snapshot.site;
         if let Some(grid) = snapshot.grid {
             if let Some(received) = grid.received_nanos {
@@ -181,7 +195,17 @@ impl LiveMap {
         &self.producers
     }
 
-    /// Number of producer keys.
+    /// How many producer keys have a place: those that were not forgotten, or have sent again since.
+    pub fn producer_places(&self) -> usize {
+        self.producers.len() - self.forgotten
+    }
+
+    /// How many producer keys are forgotten.
+    pub fn forgotten_producers(&self) -> usize {
+        self.forgotten
+    }
+
+    /// Number of producer keys, forgotten ones included.
     pub fn producers(&self) -> usize {
         self.producers.len()
     }
@@ -194,6 +218,11 @@ impl LiveMap {
     /// How the rows of a state come about.
     pub fn reporting(&self, id: StateId) -> Reporting {
         self.directory.info(id).map_or(Reporting::Samples, |info| info.reporting)
+    }
+
+    /// Number of readings that the rows of all states that report changes or events stand for in a day, at most.
+    pub fn row_readings_a_day(&self) -> u64 {
+        self.row_readings_a_day
     }
 
     /// Kind of a state.
@@ -222,6 +251,18 @@ impl LiveMap {
         self.pending.future() + self.grid.as_ref().map_or(0, LiveGrid::future)
     }
 
+    /// Rows of changes and events that updates have taken and not learned yet, because they stand for more readings
+    /// than one update may learn. The next update learns more of them.
+    pub fn waiting_rows(&self) -> u64 {
+        self.waiting_rows
+    }
+
+    fn count_waiting_rows(&self) -> u64 {
+        let of_state =
+            |id: &StateId| self.models.get(id.0 as usize)?.learned_rows().map(|rows| rows.waiting.len() as u64);
+        self.with_rows.iter().filter_map(of_state).sum()
+    }
+
     /// Observations that a running update has taken.
     pub fn updating(&self) -> u64 {
         self.running.map_or(0, |(_, taken)| taken.observations + taken.changes)
@@ -231,7 +272,7 @@ impl LiveMap {
     /// kinds reaches its limit.
     pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
-        let observations = self.pending.total() + taken.observations;
+        let observations = self.pending.total() + self.waiting_rows + taken.observations;
         let changes = self.grid.as_ref().map_or(0, LiveGrid::pending_changes) + taken.changes;
         let share = |held: u64, limit: u64| held as f64 / limit.max(1) as f64;
         share(observations, limits.observations).max(share(changes, limits.changes))
@@ -291,6 +332,10 @@ impl LiveMap {
                 let states = self.directory.len();
                 Arc::make_mut(&mut self.site).apply(edit, states).map_err(|error| inconsistent(error.to_string()))?;
                 self.rename_states(edit);
+                None
+            }
+            Event::ForgetProducers(producers) => {
+                self.forget_producers(producers).map_err(inconsistent)?;
                 None
             }
             Event::Epoch(_) | Event::UpdateDone(_) => None,
@@ -358,8 +403,9 @@ impl LiveMap {
             generation: self.generation,
             cut_nanos: self.cut_nanos,
             observations: self.observations,
-            pending: self.pending.total() + self.pending.future() + self.updating(),
+            pending: self.pending.total() + self.pending.future() + self.updating() + self.waiting_rows,
             ahead: self.pending.future(),
+            waiting_rows: self.waiting_rows,
             newest_nanos: self.newest_nanos,
             has_rows: !self.with_rows.is_empty(),
             now_nanos: None,

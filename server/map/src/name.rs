@@ -2,7 +2,7 @@
 //!
 //! Invariant: a value of these types is valid; the constructors are the only way in. A name is never used as a path.
 
-use std::{fmt, sync::Arc};
+use std::{borrow::Cow, fmt, sync::Arc};
 
 use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
@@ -21,7 +21,7 @@ pub const NAME_CHARS_MAX: usize = 128;
 /// Maximum number of characters of a map's name.
 pub(crate) const MAP_NAME_CHARS_MAX: usize = 63;
 
-/// Why a name is not accepted. The payload is the name, shortened and escaped for display.
+/// Why a name is not accepted. The payload is the name, shortened; messages quote and escape it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidName {
     /// A map's name has characters that are not allowed, or is empty or too long.
@@ -81,6 +81,23 @@ pub(crate) fn unprintable(character: char) -> bool {
             0xAD | 0x600..=0x605 | 0x61C | 0x6DD | 0x70F | 0x180E | 0x200B..=0x200F | 0x2028..=0x202E
             | 0x2060..=0x206F | 0xD800..=0xF8FF | 0xFEFF | 0xFFF0..=0xFFFB | 0xFFFE | 0xFFFF | 0xE0000..=0xE0FFF
             | 0xF0000..=0x10FFFF)
+}
+
+/// A text as a terminal may show it: unprintable characters are escaped, an ESC as `\u{1b}`.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.chars().any(unprintable) {
+        return Cow::Borrowed(text);
+    }
+    let mut escaped = String::with_capacity(text.len() + 8);
+    for character in text.chars() {
+        if unprintable(character) {
+            escaped.extend(character.escape_unicode());
+        } else {
+            escaped.push(character);
+        }
+    }
+    Cow::Owned(escaped)
 }
 
 fn check(name: &str) -> Result<(), InvalidName> {

@@ -3,7 +3,8 @@
 //! An area is a polygon. Its border belongs to it. An edge of the topological map is closed where the straight line
 //! between its nodes touches an area; an edge at a node without a position is never closed.
 //!
-//! Invariant: an area has 3 to [`CORNERS_MAX`] corners, which are finite.
+//! Invariant: an area has 3 to [`CORNERS_MAX`] corners, which are finite. A new area is a simple polygon: what its
+//! inside is would be a guess where sides cross.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -12,6 +13,8 @@ use crate::{
     topology::{Edge, Topology, TopologyParts},
 };
 
+/// Corners whose triangles are all smaller lie on a line, square metres.
+const LINE_M2: f64 = 1e-6;
 /// Farthest from the map's origin that a corner may be, metres.
 const PLACE_MAX_M: f64 = 1e7;
 /// Maximum number of areas of a map.
@@ -32,6 +35,21 @@ pub enum NoGoError {
     /// A coordinate is out of range.
     #[error("a corner of area {name:?} is not a number of metres between -1e7 and 1e7")]
     Coordinate { name: String },
+    /// Two corners are one.
+    #[error(
+        "corners {one} and {other} of area {name:?} are both at ({}, {}): name each corner once, the last side leads back \
+         to the first corner", .at_m[0], .at_m[1]
+    )]
+    EqualCorners { name: String, one: usize, other: usize, at_m: [f64; 2] },
+    /// All corners lie on a line.
+    #[error("the corners of area {name:?} lie on one line: an area needs three that do not")]
+    Line { name: String },
+    /// Two sides cross, or touch where no corner joins them.
+    #[error(
+        "the sides after corners {one} and {other} of area {name:?} cross or touch: name the corners in their order \
+         around the area, or make two areas of it"
+    )]
+    Crossing { name: String, one: usize, other: usize },
     /// The map has too many.
     #[error("the map has the maximum of {NO_GO_MAX} areas")]
     TooMany,
@@ -68,11 +86,20 @@ impl NoGoAreas {
         self.0.is_empty()
     }
 
-    /// Checks that an edit may be applied now.
+    /// Checks that an edit may be taken now.
     ///
     /// # Errors
     /// [`NoGoError`], with what is wrong.
     pub fn check(&self, edit: &NoGoEdit) -> Result<(), NoGoError> {
+        self.check_bounds(edit)?;
+        match edit {
+            NoGoEdit::Set(name, corners) => check_shape(name, corners),
+            NoGoEdit::Remove(_) => Ok(()),
+        }
+    }
+
+    /// What also holds for areas that are in a log.
+    fn check_bounds(&self, edit: &NoGoEdit) -> Result<(), NoGoError> {
         match edit {
             NoGoEdit::Set(name, corners) => {
                 let text = || name.as_str().to_owned();
@@ -96,12 +123,12 @@ impl NoGoAreas {
         }
     }
 
-    /// Applies an edit.
+    /// Applies an edit that was taken once. The shape of an area is not judged again, so that no log becomes invalid.
     ///
     /// # Errors
-    /// As [`NoGoAreas::check`]; nothing is changed then.
+    /// As [`NoGoAreas::check`], but for the shape; nothing is changed then.
     pub fn apply(&mut self, edit: &NoGoEdit) -> Result<(), NoGoError> {
-        self.check(edit)?;
+        self.check_bounds(edit)?;
         let areas = Arc::make_mut(&mut self.0);
         match edit {
             NoGoEdit::Set(name, corners) => drop(areas.insert(name.clone(), corners.clone())),
@@ -141,6 +168,49 @@ impl NoGoAreas {
         // A map without some of its edges is valid.
         Topology::from_parts(TopologyParts { edges, ..parts }).map_or_else(|_| Arc::clone(topology), Arc::new)
     }
+}
+
+/// Checks that corners are those of a simple polygon.
+fn check_shape(name: &StateName, corners: &[[f64; 2]]) -> Result<(), NoGoError> {
+    let text = || name.as_str().to_owned();
+    let sides: Vec<[[f64; 2]; 2]> =
+        corners.iter().zip(corners.iter().cycle().skip(1)).map(|(one, other)| [*one, *other]).collect();
+    let pairs = || (0..sides.len()).flat_map(|one| (one + 1..sides.len()).map(move |other| (one, other)));
+    if let Some((one, other)) = pairs().find(|&(one, other)| corners[one] == corners[other]) {
+        return Err(NoGoError::EqualCorners { name: text(), one: one + 1, other: other + 1, at_m: corners[one] });
+    }
+    if lie_on_a_line(corners) {
+        return Err(NoGoError::Line { name: text() });
+    }
+    let are_wrong = |&(one, other): &(usize, usize)| {
+        let ([a, b], [c, d]) = (sides[one], sides[other]);
+        match (b == c, d == a) {
+            (true, _) => folds_back(a, b, d),
+            (_, true) => folds_back(c, d, b),
+            _ => meet(a, b, c, d),
+        }
+    };
+    match pairs().find(are_wrong) {
+        Some((one, other)) => Err(NoGoError::Crossing { name: text(), one: one + 1, other: other + 1 }),
+        None => Ok(()),
+    }
+}
+
+/// Whether all corners lie on a line, within rounding.
+fn lie_on_a_line(corners: &[[f64; 2]]) -> bool {
+    let Some(&first) = corners.first() else { return true };
+    let apart = |at: &[f64; 2]| {
+        let [x, y] = [at[0] - first[0], at[1] - first[1]];
+        x * x + y * y
+    };
+    let far = corners.iter().max_by(|one, other| apart(one).total_cmp(&apart(other)));
+    far.is_none_or(|&far| corners.iter().all(|&at| turn(first, far, at).abs() <= LINE_M2))
+}
+
+/// Whether the way from `a` to `b` to `c` goes back on itself.
+fn folds_back(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> bool {
+    let along = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1]);
+    turn(a, b, c) == 0.0 && along < 0.0
 }
 
 /// Whether the boxes around an area and around a line overlap.
@@ -253,6 +323,32 @@ mod tests {
         assert_eq!(line, NoGoError::Corners { name: "hole".to_owned(), got: 2 });
         let endless = known.apply(&set(&[[0.0, 0.0], [1.0, f64::NAN], [1.0, 0.0]])).unwrap_err();
         assert_eq!(endless, NoGoError::Coordinate { name: "hole".to_owned() });
+        // What an area is has one meaning: no corner twice, an inside, and sides that do not cross.
+        let (tie, hole) = ([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]], || "hole".to_owned());
+        let closed = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]];
+        let spike = [[0.0, 0.0], [2.0, 0.0], [1.0, 0.0], [1.0, 1.0]];
+        let touching = [[0.0, 0.0], [4.0, 0.0], [4.0, 2.0], [2.0, 0.0], [0.0, 2.0]];
+        for (corners, expected) in [
+            (&[[1.0, 2.0]; 3][..], NoGoError::EqualCorners { name: hole(), one: 1, other: 2, at_m: [1.0, 2.0] }),
+            (&closed, NoGoError::EqualCorners { name: hole(), one: 1, other: 4, at_m: [0.0, 0.0] }),
+            (&[[0.0, 0.0], [0.1, 0.3], [0.2, 0.6]], NoGoError::Line { name: hole() }),
+            (&[[0.0, 0.0], [3.0, 0.0], [1.0, 0.0], [2.0, 0.0]], NoGoError::Line { name: hole() }),
+            (&tie, NoGoError::Crossing { name: hole(), one: 1, other: 3 }),
+            (&spike, NoGoError::Crossing { name: hole(), one: 1, other: 2 }),
+            (&touching, NoGoError::Crossing { name: hole(), one: 1, other: 3 }),
+        ] {
+            assert_eq!(known.check(&set(corners)).unwrap_err(), expected, "{corners:?}");
+        }
+        // Corners along a side, either way around, and far from the origin are good.
+        for corners in [
+            [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0]],
+            [[2.0, 2.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]],
+            [[9e6, 9e6], [9e6 + 1.0, 9e6], [9e6 + 1.0, 9e6 + 1.0], [9e6, 9e6 + 1.0]],
+        ] {
+            known.check(&set(&corners)).unwrap();
+        }
+        // A log may hold what an earlier version took.
+        areas().apply(&set(&tie)).unwrap();
         let other = known.apply(&NoGoEdit::Remove(name("pit"))).unwrap_err();
         assert_eq!(other, NoGoError::Unknown("pit".to_owned()));
         assert_eq!(known, areas());

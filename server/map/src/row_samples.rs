@@ -95,7 +95,7 @@ impl MapView {
         if !self.reporting(id).may_end() {
             return asked.keep(pending);
         }
-        let learned = self.model(id).learned_rows().copied().unwrap_or_default();
+        let learned = self.model(id).learned_rows().cloned().unwrap_or_default();
         asked.read(learned, self.reporting(id), pending, self.known_to(id))
     }
 

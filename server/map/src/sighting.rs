@@ -9,10 +9,10 @@ use tidemap_model::StateKind;
 
 use crate::{
     landmark::{Landmark, LandmarkError},
-    name::{EdgeState, PlaceName, StateName},
+    name::{PlaceName, StateName},
+    report_sample::{ReportSample, traversal_samples},
     site::Site,
-    task::TaskRun,
-    topology::{Edge, LENGTH_MAX_M, TopologyError},
+    topology::{LENGTH_MAX_M, TopologyError},
     traversal::{Traversal, TraversalError},
 };
 
@@ -107,59 +107,12 @@ pub struct Sighting {
     pub traversal: Option<Traversal>,
 }
 
-/// An observation of the state of a landmark or edge.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlaceSample {
-    /// The state.
-    pub state: StateName,
-    /// Kind of the state's values.
-    pub kind: StateKind,
-    /// When, nanoseconds UTC.
-    pub time_nanos: i64,
-    /// The value.
-    pub value: f64,
-}
-
-/// What a robot reports of a place of the topological map: one report with one sequence number, and an observation of
-/// one or more states.
-#[derive(Clone, Debug, PartialEq)]
-pub enum PlaceReport {
-    /// It travelled an edge, or tried to.
-    Traversal(Traversal),
-    /// It looked for the landmarks of a place.
-    Sighting(Sighting),
-    /// It did a task, or tried to.
-    Task(TaskRun),
-}
-
-impl PlaceReport {
-    /// When it begins, nanoseconds UTC.
-    #[must_use]
-    pub fn time_nanos(&self) -> i64 {
-        match self {
-            Self::Traversal(traversal) => traversal.start_nanos,
-            Self::Sighting(sighting) => sighting.time_nanos,
-            Self::Task(run) => run.start_nanos,
-        }
-    }
-
-    /// The traversal, if there is one.
-    #[must_use]
-    pub fn traversal(&self) -> Option<&Traversal> {
-        match self {
-            Self::Traversal(traversal) => Some(traversal),
-            Self::Sighting(sighting) => sighting.traversal.as_ref(),
-            Self::Task(_) => None,
-        }
-    }
-}
-
 impl Sighting {
-    /// The observations that it stands for.
+    /// The observations that it gives.
     ///
     /// # Errors
-    /// [`SightingError`]; it says nothing then.
-    pub fn samples(&self, site: &Site) -> Result<Vec<PlaceSample>, SightingError> {
+    /// [`SightingError`]; it gives none then.
+    pub fn samples(&self, site: &Site) -> Result<Vec<ReportSample>, SightingError> {
         let Self { place, part, time_nanos, seen, out_of_view, traversal } = self;
         if *time_nanos < 0 {
             return Err(SightingError::Before1970(*time_nanos));
@@ -185,7 +138,7 @@ impl Sighting {
             }
             if let Some(value) = value.unwrap_or(Some(0.0)) {
                 let state = place.landmark(&landmark.name);
-                samples.push(PlaceSample { state, kind: StateKind::Probability, time_nanos: *time_nanos, value });
+                samples.push(ReportSample { state, kind: StateKind::Probability, time_nanos: *time_nanos, value });
             }
         }
         let unknown = seen.iter().chain(out_of_view).find(|name| named.contains_key(name.as_str()));
@@ -204,7 +157,7 @@ fn of_traversal(
     Sighting { place, time_nanos, .. }: &Sighting,
     traversal: &Traversal,
     site: &Site,
-) -> Result<Vec<PlaceSample>, SightingError> {
+) -> Result<Vec<ReportSample>, SightingError> {
     if *place != PlaceName::Edge(traversal.edge.clone()) {
         let (traversed, place) = (traversal.edge.to_string(), place.to_string());
         return Err(SightingError::OtherEdge { traversed, place });
@@ -215,20 +168,6 @@ fn of_traversal(
     }
     let edge = site.topology().edge_named(&traversal.edge).map_err(LandmarkError::from)?;
     Ok(traversal_samples(traversal, edge)?)
-}
-
-/// The observations of a traversal of an edge.
-///
-/// # Errors
-/// [`TraversalError`]
-pub fn traversal_samples(traversal: &Traversal, edge: &Edge) -> Result<Vec<PlaceSample>, TraversalError> {
-    let sample = |(what, value): (EdgeState, f64)| PlaceSample {
-        state: traversal.edge.state(what),
-        kind: what.kind(),
-        time_nanos: traversal.start_nanos,
-        value,
-    };
-    Ok(traversal.samples(edge.extent)?.into_iter().map(sample).collect())
 }
 
 #[cfg(test)]

@@ -296,6 +296,9 @@ impl Site {
             self.landmarks = Arc::new(self.landmarks.edited(&self.topology, edit)?);
             return Ok(());
         }
+        if let SiteEdit::NoGo(edit) = edit {
+            return Ok(self.no_go.apply(edit)?);
+        }
         self.check(edit, states)?;
         match edit {
             SiteEdit::Charger(at) => self.charger_m = *at,
@@ -309,9 +312,8 @@ impl Site {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
             SiteEdit::Task(edit) => self.tasks.apply(edit)?,
-            SiteEdit::NoGo(edit) => self.no_go.apply(edit)?,
             // Done above.
-            SiteEdit::Topology(_) | SiteEdit::Landmarks(_) => {}
+            SiteEdit::Topology(_) | SiteEdit::Landmarks(_) | SiteEdit::NoGo(_) => {}
         }
         Ok(())
     }

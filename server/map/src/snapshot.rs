@@ -98,6 +98,10 @@ pub struct ProducerMark {
     pub recent: Vec<ContentMark>,
     /// Whether any of them was a scan.
     pub has_scans: bool,
+    /// Whether it has given its place up, until it sends again. Its sequence goes on where it was.
+    pub is_forgotten: bool,
+    /// The client that introduced it, as shares count clients; empty: one without a share.
+    pub introduced_by: String,
 }
 
 impl ProducerMark {

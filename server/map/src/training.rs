@@ -14,7 +14,7 @@
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use rayon::prelude::*;
-use tidemap_grid::spec::Retention;
+use tidemap_grid::{pace::Pace, spec::Retention};
 use tidemap_model::{
     Hold, LocalDay, OffsetCache, Reporting, Sample, StateModel, TrainedModel,
     catalogue::{ModelKind, NIGHTLY_WINDOW_NANOS, TrainingCost},
@@ -107,12 +107,14 @@ pub(crate) struct Taught<'a> {
     pub(crate) reporting: Reporting,
     /// Rows are learned up to there.
     pub(crate) horizon_nanos: i64,
+    /// Rows from there on wait for a later day or update.
+    pub(crate) end_nanos: i64,
 }
 
 impl<'a> Taught<'a> {
     /// Of a state that reports samples.
     pub(crate) fn samples(samples: &'a [Sample]) -> Taught<'a> {
-        Taught { samples, is_all: false, reporting: Reporting::Samples, horizon_nanos: i64::MIN }
+        Taught { samples, is_all: false, reporting: Reporting::Samples, horizon_nanos: i64::MIN, end_nanos: i64::MAX }
     }
 }
 
@@ -152,8 +154,9 @@ pub(crate) fn train_due(
     end_nanos: i64,
     pupils: &mut [Pupil<'_>],
     source: &dyn StateReadings,
+    pace: &dyn Pace,
 ) -> TrainingOutcome {
-    train_within(LIMITS, spec, end_nanos, pupils, source)
+    train_within(LIMITS, spec, end_nanos, pupils, (source, pace))
 }
 
 fn train_within(
@@ -161,7 +164,7 @@ fn train_within(
     spec: &MapSpec,
     end_nanos: i64,
     pupils: &mut [Pupil<'_>],
-    source: &dyn StateReadings,
+    (source, pace): (&dyn StateReadings, &dyn Pace),
 ) -> TrainingOutcome {
     // History may have been deleted up to here, or not yet: a model must not depend on that.
     let kept_from = match spec.retention {
@@ -195,8 +198,11 @@ fn train_within(
     let mut next = batches.next();
     while let Some((batch, found)) = next {
         // The next batch is read meanwhile.
-        let train_batch =
-            || found.map(|found| batch.par_iter().zip(found).map(|(due, earlier)| train(spec, due, earlier)).collect());
+        let train_one = |(due, earlier)| {
+            pace.await_turn();
+            train(spec, due, earlier)
+        };
+        let train_batch = || found.map(|found| batch.par_iter().zip(found).map(train_one).collect());
         let trained: Result<Vec<_>, String>;
         (trained, next) = rayon::join(train_batch, || batches.next());
         match trained {
@@ -306,6 +312,7 @@ fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<Trai
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     if due.own.reporting.may_end() {
+        samples.truncate(samples.partition_point(|sample| sample.utc_nanos < due.own.end_nanos));
         samples = samples_of(due.own.reporting, &samples, due.own.horizon_nanos, &mut spec.zone.offset_cache());
         samples.drain(..samples.partition_point(|sample| sample.utc_nanos < due.from_nanos));
     }

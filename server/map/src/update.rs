@@ -20,10 +20,7 @@
 //! Invariant: the work holds all that it needs; the result depends on nothing but the work and the readings that it is
 //! given. States are processed independently of each other.
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, atomic::AtomicU64},
-};
+use std::{collections::BTreeMap, sync::Arc};
 
 use tidemap_model::{Sample, StateModel, UpdateOutcome, selector::ModelSelector};
 
@@ -32,6 +29,7 @@ use tidemap_grid::update::rules::UpdateLimits;
 use tidemap_grid::{
     live::GridBasis,
     outcome::GridOutcome,
+    pace::Pace,
     spec::Retention,
     tile::TileUnavailable,
     update::{GridResult, GridWork},
@@ -60,6 +58,10 @@ use late_rows::LateRows;
 pub use late_rows::LateRowsOutcome;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
+
+/// Maximum number of readings that rows of changes and events stand for in one update, but for those of one local day:
+/// about half a minute's work. A part of what an update is, and no setting: a repeated update must learn the same.
+pub const UPDATE_READINGS_MAX: u64 = 4_000_000;
 
 /// What an update learns from cannot be read back from the disk.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -106,6 +108,8 @@ pub struct UpdateWork {
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
     pub(crate) room: Option<SpectrumRoom>,
+    /// Maximum number of readings that rows stand for, but for those of one local day.
+    pub(crate) readings_max: u64,
 }
 
 /// What an update learned.
@@ -118,6 +122,8 @@ pub struct UpdateResult {
     outcomes: Vec<StateOutcome>,
     training: TrainingOutcome,
     late_rows: LateRowsOutcome,
+    /// Local midnight up to which rows are learned; `None`: all are.
+    rows_to_nanos: Option<i64>,
 }
 
 /// What an update did to one state.
@@ -160,6 +166,12 @@ impl UpdateWork {
         UpdateWork { room: Some(room), ..self }
     }
 
+    /// This update with another maximum number of readings that rows stand for.
+    #[must_use]
+    pub fn with_readings_max(self, readings_max: u64) -> UpdateWork {
+        UpdateWork { readings_max, ..self }
+    }
+
     /// This update with other limits of the update of the grid.
     #[cfg(test)]
     pub(crate) fn with_limits(mut self, limits: UpdateLimits) -> UpdateWork {
@@ -167,18 +179,18 @@ impl UpdateWork {
         self
     }
 
-    /// Runs the update, on the threads of the rayon pool that this is called in. `progress` counts the states and tiles
+    /// Runs the update, on the threads of the rayon pool that this is called in. `pace` counts the states and tiles
     /// done; a tile that was seen on several days is done in as many parts.
     ///
     /// # Errors
     /// [`SumsUnavailable`] where a tile of the grid or the sums of a state cannot be read back from the disk.
-    pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, SumsUnavailable> {
+    pub fn run(self, pace: &dyn Pace) -> Result<UpdateResult, SumsUnavailable> {
         let keeps_states = self.spec.retention != Retention::None;
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
         history.states = self.samples;
         history.origins = self.origins;
-        let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
+        let mut grid = self.grid.map(|grid| grid.run(pace)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
             if let Some(spec) = kept_grid {
@@ -204,8 +216,9 @@ impl UpdateWork {
         let late_rows = LateRows::new(&self.spec, &self.prior_models, learned_nanos);
         let (anew, late_rows) = late_rows.begin(&history.states, &mut models, readings);
         let (spec, horizons, together) = (&*self.spec, &self.horizons, self.basis.directory.parts());
-        let steps = DailySteps { spec, readings, horizons, anew, room: &room, together, progress };
-        let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
+        let readings_max = self.readings_max;
+        let steps = DailySteps { spec, readings, horizons, anew, room: &room, together, readings_max, pace };
+        let done = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }
         })?;
@@ -215,13 +228,14 @@ impl UpdateWork {
             let chosen = ModelSelector::of_choice(model.answers(), model);
             self.basis.directory.info(id).map(|info| StateOutcome { name: info.name.clone(), outcome, chosen })
         };
-        let outcomes = done.into_iter().filter_map(named).collect();
+        let outcomes = done.outcomes.into_iter().filter_map(named).collect();
         if !keeps_states {
             (history.states, history.origins) = (Vec::new(), Vec::new());
         }
         let history = history.bounded();
         let models = Arc::new(models);
-        Ok(UpdateResult { basis: self.basis, models, grid, history, outcomes, training, late_rows })
+        let (training, rows_to_nanos) = (done.training, done.stop_nanos);
+        Ok(UpdateResult { basis: self.basis, models, grid, history, outcomes, training, late_rows, rows_to_nanos })
     }
 }
 
@@ -239,6 +253,12 @@ impl UpdateResult {
     /// What became of the states whose rows of changes or events came late.
     pub fn late_rows_outcome(&self) -> &LateRowsOutcome {
         &self.late_rows
+    }
+
+    /// The local midnight up to which rows of changes and events are learned, nanoseconds UTC: all that they stand for
+    /// was too much for one update, and the next is due at once. `None`: all are learned.
+    pub fn rows_to_nanos(&self) -> Option<i64> {
+        self.rows_to_nanos
     }
 
     /// What was done to the cells of the grid, where the map has one.

@@ -33,6 +33,7 @@ pub struct MapView {
     pub(crate) observations: u64,
     pub(crate) pending: u64,
     pub(crate) ahead: u64,
+    pub(crate) waiting_rows: u64,
     /// Latest time of the observations that did not have to wait.
     pub(crate) newest_nanos: i64,
     /// Whether any state reports changes or events.
@@ -86,6 +87,12 @@ impl MapView {
     /// Observations that no update has learned yet.
     pub fn pending(&self) -> u64 {
         self.pending
+    }
+
+    /// Those of them that are rows of changes or events for which the update that took them had no room: they stand for
+    /// too many readings. The next update learns more of them.
+    pub fn waiting_rows(&self) -> u64 {
+        self.waiting_rows
     }
 
     /// Those of them that wait because their time is more than

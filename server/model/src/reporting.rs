@@ -160,6 +160,11 @@ impl Reporting {
         }
     }
 
+    /// Number of readings that its rows stand for in a day, at most; 0 of samples.
+    pub fn readings_a_day(self) -> u64 {
+        self.hold().map_or(0, |hold| u64::from(86_400_u32.div_ceil(hold.step_secs)))
+    }
+
     fn is_changes(self) -> bool {
         matches!(self, Reporting::Changes(_))
     }

@@ -177,7 +177,8 @@ impl StateModel {
 
     /// Number of its observations that are learned: rows, of which one may stand for many readings.
     pub fn learned_observations(&self) -> u64 {
-        self.learned_rows().map_or(self.accumulator.observations(), |learned| learned.rows)
+        let of_rows = |learned: &LearnedRows| learned.rows.saturating_sub(learned.waiting.len() as u64);
+        self.learned_rows().map_or(self.accumulator.observations(), of_rows)
     }
 
     /// This state with other unusual observations.

@@ -6,6 +6,7 @@
 use std::fmt;
 
 use axum::http::{HeaderMap, HeaderValue, header::AUTHORIZATION};
+use ring::hmac;
 use subtle::ConstantTimeEq as _;
 
 use super::{
@@ -45,6 +46,23 @@ impl PeerSecret {
         let mut header = HeaderValue::from_str(&format!("Bearer {}", self.text)).ok()?;
         header.set_sensitive(true);
         Some(header)
+    }
+
+    fn key(&self) -> hmac::Key {
+        hmac::Key::new(hmac::HMAC_SHA256, self.text.as_bytes())
+    }
+
+    /// What proves that a text is of a daemon that knows the secret, in hexadecimal digits. It reveals nothing of it.
+    pub(crate) fn proof_of(&self, text: &str) -> String {
+        hmac::sign(&self.key(), text.as_bytes()).as_ref().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Whether this is what [`PeerSecret::proof_of`] gave for the text.
+    pub(crate) fn proves(&self, text: &str, proof: &str) -> bool {
+        let digit = |digits: &[u8]| u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok();
+        let bytes: Option<Vec<u8>> = proof.as_bytes().chunks(2).map(digit).collect();
+        let is_proof = |bytes: Vec<u8>| hmac::verify(&self.key(), text.as_bytes(), &bytes).is_ok();
+        !self.text.is_empty() && bytes.is_some_and(is_proof)
     }
 
     /// Whether the sender of these headers knows the secret.

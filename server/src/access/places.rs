@@ -89,6 +89,7 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.MaintenanceService/GetStatistics", Place::Reader),
     // Only the writer knows whose streams are open.
     ("/tidemap.v1.MaintenanceService/ListProducers", Place::Writer),
+    ("/tidemap.v1.MaintenanceService/ForgetProducer", Place::Writer),
     ("/tidemap.v1.MaintenanceService/CreateBackup", Place::Anywhere),
     ("/tidemap.v1.MaintenanceService/Erase", Place::Writer),
     // Each member says what it knows and has.

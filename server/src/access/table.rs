@@ -102,6 +102,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/GetUpdateReport", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
     ("/tidemap.v1.MaintenanceService/ListProducers", role(Planner)),
+    ("/tidemap.v1.MaintenanceService/ForgetProducer", role(Operator)),
     ("/tidemap.v1.MaintenanceService/CreateBackup", Need::AllMaps(Admin)),
     ("/tidemap.v1.MaintenanceService/Erase", role(Admin)),
     // Maps that the token is not for are not shown.

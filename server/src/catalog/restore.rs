@@ -2,16 +2,22 @@
 //!
 //! Invariant: a restored map is the map that was stopped, even if its last update was cut off.
 
-use std::sync::Arc;
+use std::sync::{Arc, atomic::AtomicU64};
 
-use tidemap_map::{event::Event, live_map::LiveMap, snapshot::MapSnapshot, spec::MapSpec, update::UpdateWork};
-use tidemap_store::MapId;
+use tidemap_map::{
+    event::{Event, UpdateDone},
+    live_map::LiveMap,
+    snapshot::MapSnapshot,
+    spec::MapSpec,
+    update::UpdateWork,
+};
+use tidemap_store::{MapId, Replay};
 use tracing::{info, warn};
 
 use super::CatalogError;
 use crate::ingest::{
     handle::{MapHandle, WriterEndpoints},
-    writer::{Context, RestoredMap, start_in},
+    writer::{Context, RestoredMap, UpdateFailed, start_in},
 };
 
 /// At the start, the updates in the log behind the checkpoint are repeated. Their history is saved each time it takes
@@ -61,27 +67,56 @@ pub(crate) fn restore_map(
     tell: &dyn Fn(u64, u64) -> bool,
 ) -> Result<RestoredMap, CatalogError> {
     let opened = context.store.open_map(id, spec)?;
-    for report in &opened.reports {
-        warn!(map = %spec.name, "{report}");
+    for repair in &opened.repairs {
+        warn!(map = %spec.name, "{repair}");
     }
     let from = opened.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
     let total = (opened.log.end() + 1).saturating_sub(from);
-    let (mut map, known) = match opened.snapshot {
-        Some(snapshot) => {
-            let known = snapshot.position;
-            (LiveMap::restore(Arc::clone(spec), snapshot), known)
-        }
-        None => (LiveMap::new(Arc::clone(spec)), 0),
-    };
-    let mut replayed = 0u64;
     let mut repeated = UpdateReplay { context, id, spec, unsaved: None, save_above: HISTORY_BYTES };
-    // The last update that the log has begun. It may take long, so that it is run here only if another event shows that
-    // it ended.
-    let mut begun: Option<UpdateWork> = None;
-    let mut logged = None;
-    for entry in opened.replay {
+    let goes_on = |replayed| tell(replayed, total);
+    let replayed = replay(spec, opened.snapshot, opened.replay, &goes_on, &mut |map, work| repeated.run(map, work))?;
+    let ReplayedMap { map, replayed, logged, begun } = replayed;
+    let unsaved = repeated.unsaved;
+    info!(
+        map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
+        "map opened"
+    );
+    Ok(RestoredMap { map, log: Arc::new(opened.log), is_shared: false, logged, unsaved, begun })
+}
+
+/// A map that was made of its newest snapshot and the log behind it.
+struct ReplayedMap {
+    map: LiveMap,
+    /// Number of events.
+    replayed: u64,
+    /// The end of the last update of which the log has it.
+    logged: Option<UpdateDone>,
+    /// The last update that the log has begun. It may take long, so that it is run here only if another event shows
+    /// that it ended.
+    begun: Option<UpdateWork>,
+}
+
+/// Makes a map of its newest snapshot and the events behind it. `goes_on` gets the number of events so far now and
+/// then; `run` repeats an update that had ended.
+///
+/// # Errors
+/// The log cannot be read or does not fit the map, an update fails, or [`CatalogError::Stopping`].
+fn replay(
+    spec: &Arc<MapSpec>,
+    snapshot: Option<MapSnapshot>,
+    events: Replay,
+    goes_on: &dyn Fn(u64) -> bool,
+    run: &mut dyn FnMut(&mut LiveMap, UpdateWork) -> Result<(), CatalogError>,
+) -> Result<ReplayedMap, CatalogError> {
+    let known = snapshot.as_ref().map_or(0, |snapshot| snapshot.position);
+    let mut map = match snapshot {
+        Some(snapshot) => LiveMap::restore(Arc::clone(spec), snapshot),
+        None => LiveMap::new(Arc::clone(spec)),
+    };
+    let (mut replayed, mut begun, mut logged) = (0u64, None, None);
+    for entry in events {
         let (position, event) = entry?;
-        if replayed.is_multiple_of(RECORDS_PER_REPORT) && !tell(replayed, total) {
+        if replayed.is_multiple_of(RECORDS_PER_REPORT) && !goes_on(replayed) {
             return Err(CatalogError::Stopping);
         }
         replayed += 1;
@@ -95,18 +130,29 @@ pub(crate) fn restore_map(
             if matches!(event, Event::UpdateStart(_))
                 && let Some(work) = begun.take()
             {
-                repeated.run(&mut map, work)?;
+                run(&mut map, work)?;
             }
             map.apply(position, &event).map(|work| begun = work.or(begun.take()))
         }
         .map_err(|error| CatalogError::Inconsistent { map: spec.name.clone(), reason: error.to_string() })?;
     }
-    let unsaved = repeated.unsaved;
-    info!(
-        map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
-        "map opened"
-    );
-    Ok(RestoredMap { map, log: Arc::new(opened.log), is_shared: false, logged, unsaved, begun })
+    Ok(ReplayedMap { map, replayed, logged, begun })
+}
+
+/// Whether a start can make a map of its newest snapshot and the events behind it. Writes nothing; models that need
+/// history are not trained by the updates that are repeated.
+///
+/// # Errors
+/// What a start reports.
+pub(crate) fn try_restore(spec: &MapSpec, snapshot: Option<MapSnapshot>, events: Replay) -> Result<(), String> {
+    let spec = Arc::new(spec.clone());
+    let mut run = |map: &mut LiveMap, work: UpdateWork| {
+        let result = work.run(&AtomicU64::new(0));
+        let result = result.map_err(|source| CatalogError::Sums { map: spec.name.clone(), source })?;
+        drop(map.finish_update(result));
+        Ok(())
+    };
+    replay(&spec, snapshot, events, &|_| true, &mut run).map(drop).map_err(|error| error.to_string())
 }
 
 /// Repeats updates at the start because others followed them, and holds what is not saved of them.
@@ -120,10 +166,13 @@ struct UpdateReplay<'a> {
 
 impl UpdateReplay<'_> {
     fn run(&mut self, map: &mut LiveMap, work: UpdateWork) -> Result<(), CatalogError> {
-        let done = std::sync::atomic::AtomicU64::new(0);
+        let done = AtomicU64::new(0);
         let kept = self.unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
         let result = self.context.run_update(self.id, &self.spec.name, work, kept, &done);
-        let result = result.map_err(|source| CatalogError::Sums { map: self.spec.name.clone(), source })?;
+        let result = result.map_err(|failed| match failed {
+            UpdateFailed::Sums(source) => CatalogError::Sums { map: self.spec.name.clone(), source },
+            UpdateFailed::Threads(error) => CatalogError::Thread(std::io::Error::other(error)),
+        })?;
         let mut snapshot = map.finish_update(result);
         // Only the history of the older snapshots is not in this one.
         let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);

@@ -5,6 +5,7 @@
 use std::{net::SocketAddr, path::PathBuf};
 
 use anyhow::bail;
+use http::uri::Scheme;
 use serde::{Deserialize, Serialize};
 
 /// The section `[cluster]`.
@@ -178,6 +179,12 @@ fn check_name(key: &str, name: &str) -> anyhow::Result<()> {
 }
 
 impl ClusterSettings {
+    /// The host by which other daemons reach this one, if they do so over TLS.
+    pub(crate) fn tls_host(&self) -> Option<String> {
+        let uri = self.advertise.parse::<http::Uri>().ok().filter(|uri| uri.scheme() == Some(&Scheme::HTTPS))?;
+        Some(uri.host()?.trim_start_matches('[').trim_end_matches(']').to_owned())
+    }
+
     /// Whether other daemons can reach this one, whose gRPC port is at `listen`, with TLS or not.
     fn check_address(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
         let advertise = &self.advertise;
@@ -209,6 +216,20 @@ impl ClusterSettings {
         Ok(())
     }
 
+    /// A certificate for the engine needs its key, and the other way around.
+    fn check_tls(&self) -> anyhow::Result<()> {
+        for (set, key, other, missing) in [
+            (&self.tls_certificate, "tls_certificate", &self.tls_key, "tls_key"),
+            (&self.tls_key, "tls_key", &self.tls_certificate, "tls_certificate"),
+        ] {
+            if !set.as_os_str().is_empty() && other.as_os_str().is_empty() {
+                let set = set.display().to_string();
+                bail!("setting cluster.{key} is {set:?}, and cluster.{missing} is not set: the engine asks for both");
+            }
+        }
+        Ok(())
+    }
+
     /// Whether the values make sense, for a gRPC port at `listen` with TLS or without.
     ///
     /// # Errors
@@ -222,6 +243,7 @@ impl ClusterSettings {
             );
         }
         self.check_address(listen, has_tls)?;
+        self.check_tls()?;
         for (key, value, min, max) in [
             ("replicas", self.replicas as u64, 1, 16),
             ("capacity", u64::from(self.capacity), 0, 1000),

@@ -3,16 +3,15 @@
 //! Invariant: an accept that fails never spins: it is logged now and then, a connection makes room, and the next try
 //! comes after a pause. A connection beyond the limits is refused, or comes into the reserve of a port that has one.
 
-use std::{io, net::SocketAddr, time::Duration};
+use std::{io, time::Duration};
 
-use axum::{extract::connect_info::Connected, serve::IncomingStream};
 use tokio::{
     net::{TcpListener, UnixListener},
     sync::mpsc,
 };
 use tracing::{error, warn};
 
-use super::{Connections, Peer, Remote, guard::GuardedConnection, socket::Socket, tls::Tls};
+use super::{Connections, Peer, guard::GuardedConnection, socket::Socket, tls::Tls};
 use crate::telemetry::occasional::Occasional;
 
 /// A connection as a server gets it.
@@ -128,38 +127,4 @@ async fn pause(error: &io::Error, connections: &Connections) {
     }
     connections.make_room();
     tokio::time::sleep(PAUSE).await;
-}
-
-/// A listener for axum: the connections of an acceptor.
-#[derive(Debug)]
-pub(crate) struct HttpListener {
-    /// The address of the port.
-    pub address: SocketAddr,
-    /// The connections.
-    pub accepted: mpsc::Receiver<io::Result<Accepted>>,
-}
-
-impl axum::serve::Listener for HttpListener {
-    type Io = Accepted;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Accepted, SocketAddr) {
-        loop {
-            match self.accepted.recv().await {
-                Some(Ok(connection)) => return (connection, self.address),
-                Some(Err(_)) => {}
-                None => std::future::pending().await,
-            }
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<SocketAddr> {
-        Ok(self.address)
-    }
-}
-
-impl Connected<IncomingStream<'_, HttpListener>> for Remote {
-    fn connect_info(stream: IncomingStream<'_, HttpListener>) -> Self {
-        stream.io().remote()
-    }
 }

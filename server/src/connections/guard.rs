@@ -1,4 +1,5 @@
-//! A connection under guard: it ends when it makes no request in time, or when it has to make room.
+//! A connection under guard: it ends when it makes no request in time, when it has to make room, and on the HTTP port
+//! when nobody reads its reply.
 //!
 //! Invariant: the guard changes no byte. The daemon closes no connection with bytes of the client on their way, because
 //! the client could then lose what it was told last: after its own end, the daemon reads on for [`LINGER`] and
@@ -7,7 +8,6 @@
 use std::{
     io,
     pin::Pin,
-    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -17,7 +17,15 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
-use super::{ConnectionSlot, Port, REQUEST_WITHIN, Remote};
+use tracing::info;
+
+use super::{
+    ConnectionSlot, Port, REQUEST_WITHIN, Remote,
+    stall::{Stall, UNREAD_FOR},
+};
+use crate::telemetry::occasional::Occasional;
+
+static UNREAD: Occasional = Occasional::new();
 
 /// So many bytes are read and ignored meanwhile, a few at a time, because others wait.
 const LINGER_BYTES: usize = 64 << 10;
@@ -33,17 +41,19 @@ pub(crate) struct GuardedConnection<S> {
     deadline: Option<Pin<Box<Sleep>>>,
     /// Until when the end of the other side is waited for, and the bytes that were ignored.
     linger: Option<(Pin<Box<Sleep>>, usize)>,
+    /// How long the client takes nothing of its reply.
+    stall: Stall,
 }
 
 impl<S> GuardedConnection<S> {
     pub(super) fn new(socket: S, slot: ConnectionSlot) -> Self {
         let deadline = Some(Box::pin(sleep_until(Instant::now() + REQUEST_WITHIN)));
-        Self { socket, slot, deadline, linger: None }
+        Self { socket, slot, deadline, linger: None, stall: Stall::default() }
     }
 
     /// The other end.
     pub(crate) fn remote(&self) -> Remote {
-        Remote(Arc::clone(&self.slot.seat))
+        self.slot.remote()
     }
 
     /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
@@ -72,6 +82,36 @@ impl<S> GuardedConnection<S> {
             io::Error::new(io::ErrorKind::TimedOut, "the connection made no request in time")
         })
     }
+
+    /// What a write has come to; a client of the HTTP port that takes nothing is waited for a bounded time, and makes
+    /// room meanwhile. `bytes`: how many it took.
+    fn watch_reader<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        written: Poll<io::Result<T>>,
+        bytes: impl FnOnce(&T) -> usize,
+    ) -> Poll<io::Result<T>> {
+        if !matches!(self.slot.port, Port::Http | Port::Probes) {
+            return written;
+        }
+        if let Poll::Ready(done) = &written {
+            self.stall.note_taken(done.as_ref().map_or(0, bytes));
+            self.slot.seat.note_stall(None);
+            return written;
+        }
+        if let Some(error) = self.must_end(context) {
+            return Poll::Ready(Err(error));
+        }
+        let stalled = self.stall.poll_stalled(context);
+        self.slot.seat.note_stall(self.stall.began());
+        ready!(stalled);
+        metrics::counter!("tidemap_replies_ended_total", "reason" => "unread").increment(1);
+        if let Some(left_out) = UNREAD.next() {
+            let (peer, secs) = (self.slot.seat.peer, UNREAD_FOR.as_secs());
+            info!(%peer, secs, left_out, "a reply was ended, because its client did not read it");
+        }
+        Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client does not read its reply")))
+    }
 }
 
 impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
@@ -91,7 +131,8 @@ impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
 impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.check_before_request(context)?;
-        Pin::new(&mut self.socket).poll_write(context, bytes)
+        let written = Pin::new(&mut self.socket).poll_write(context, bytes);
+        self.watch_reader(context, written, |bytes| *bytes)
     }
 
     fn poll_write_vectored(
@@ -100,7 +141,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         self.check_before_request(context)?;
-        Pin::new(&mut self.socket).poll_write_vectored(context, slices)
+        let written = Pin::new(&mut self.socket).poll_write_vectored(context, slices);
+        self.watch_reader(context, written, |bytes| *bytes)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -109,11 +151,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         self.check_before_request(context)?;
-        Pin::new(&mut self.socket).poll_flush(context)
+        let flushed = Pin::new(&mut self.socket).poll_flush(context);
+        self.watch_reader(context, flushed, |()| 0)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        ready!(Pin::new(&mut self.socket).poll_shutdown(context))?;
+        let ended = Pin::new(&mut self.socket).poll_shutdown(context);
+        ready!(self.watch_reader(context, ended, |()| 0))?;
         let guarded = &mut *self;
         let (until, ignored) = guarded.linger.get_or_insert_with(|| (Box::pin(sleep(LINGER)), 0));
         let mut bytes = [0; 8192];

@@ -52,6 +52,43 @@ fn a_client_at_its_bound_displaces_only_its_own_connections() {
 }
 
 #[test]
+fn a_client_with_few_connections_gets_one_of_who_has_the_most() {
+    let full = |port| {
+        let connections = connections(port, 12, 10);
+        let all: Vec<ConnectionSlot> =
+            (0..12).map(|number| connections.admit(address(u8::from(number >= 10))).expect("room")).collect();
+        let requests: Vec<Busy> = all.iter().map(|slot| request(slot, true)).collect();
+        (connections, all, requests)
+    };
+    let (connections, all, _requests) = full(Port::Http);
+    let newcomer = connections.admit(address(2)).expect("one makes room");
+    let _works = request(&newcomer, true);
+    let displaced: Vec<usize> = (0..all.len()).filter(|slot| is_displaced(&all[*slot])).collect();
+    assert_eq!(displaced, [9], "the newest of the client that has the most");
+    let second = connections.admit(address(2)).expect("another makes room");
+    let _works_too = request(&second, true);
+    assert!(is_displaced(&all[8]) && !is_displaced(&newcomer));
+    assert!(connections.admit(address(0)).is_none(), "who has the most gets none");
+    let (connections, _all, _requests) = full(Port::Grpc);
+    assert!(connections.admit(address(2)).is_none(), "robots keep their connections");
+}
+
+#[test]
+fn a_connection_whose_reply_nobody_reads_makes_room() {
+    let connections = connections(Port::Http, 2, 2);
+    let slots: Vec<ConnectionSlot> = (0..2).map(|last| connections.admit(address(last)).expect("room")).collect();
+    let _requests: Vec<Busy> = slots.iter().map(|slot| request(slot, true)).collect();
+    assert!(connections.admit(address(2)).is_none(), "both work on a request");
+    let now = Instant::now();
+    let rank = |slot: &ConnectionSlot, later: Duration| slot.seat.rank(Duration::ZERO, now + later);
+    slots[1].seat.note_stall(Some(tokio::time::Instant::now()));
+    assert_eq!(rank(&slots[1], STALLED_AFTER / 2), None, "it is waited for a little");
+    assert!(rank(&slots[1], 2 * STALLED_AFTER).is_some() && rank(&slots[0], 2 * STALLED_AFTER).is_none());
+    slots[1].seat.note_stall(None);
+    assert_eq!(rank(&slots[1], 2 * STALLED_AFTER), None, "it reads again");
+}
+
+#[test]
 fn each_connection_of_the_reserve_makes_room_for_the_next() {
     let connections = connections(Port::Probes, 2, 1);
     let first = connections.admit(address(1)).expect("room");

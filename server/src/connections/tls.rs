@@ -3,7 +3,8 @@
 //!
 //! Invariant: the handshake is driven by the first read or write, so that the deadline of a connection's first request
 //! covers it. A certificate that cannot be used, or that clients would not take now, never takes the place of one that
-//! can. Errors name files, and never hold what is in them.
+//! can. Errors name files, and never hold what is in them. A client whose handshake fails is told why: the daemon does
+//! not break a connection with bytes of the client on their way before the client has read the alert.
 
 use std::{
     fmt,
@@ -15,6 +16,7 @@ use std::{
     pin::Pin,
     sync::Arc,
     task::{Context, Poll, ready},
+    time::Duration,
 };
 
 use arc_swap::ArcSwap;
@@ -22,9 +24,10 @@ use tidemap_model::time::format_rfc3339;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::TcpStream,
+    time::{Sleep, sleep},
 };
 use tokio_rustls::{
-    Accept, TlsAcceptor,
+    FallibleAccept, TlsAcceptor,
     rustls::{
         self, RootCertStore, ServerConfig,
         crypto::ring,
@@ -36,7 +39,7 @@ use tokio_rustls::{
 };
 use tracing::{error, info, warn};
 
-use super::{validity, validity::Validity};
+use super::certificate::{self, Facts, NotForServers};
 use crate::{
     clock::{Clock as _, SystemClock},
     secret_file::{is_open_to_all, is_private},
@@ -52,7 +55,15 @@ pub(crate) enum Protocol {
     Http1,
 }
 
+/// What a connection of the HTTP port keeps of a reply that is not read.
+const HTTP_BUFFER_BYTES: usize = 16 << 10;
+
 static FAILURES: Occasional = Occasional::new();
+
+/// After the alert of a handshake that failed, the client closes its side within this time.
+const REFUSED_LINGER: Duration = Duration::from_secs(1);
+/// So many bytes of it are read and ignored meanwhile.
+const REFUSED_BYTES: usize = 64 << 10;
 
 /// The files of the daemon's TLS, in PEM form.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,6 +74,8 @@ pub(crate) struct TlsFiles {
     pub key: PathBuf,
     /// Authorities of clients; if named, each client must present a certificate of one of them.
     pub client_ca: Option<PathBuf>,
+    /// The host by which other daemons reach this one over TLS, if there are any.
+    pub advertised: Option<String>,
 }
 
 /// Why files of TLS cannot be used.
@@ -89,6 +102,38 @@ pub(crate) enum TlsError {
         .path.display(), shown(*.from_secs), shown(*.now_secs)
     )]
     NotYetValid { path: PathBuf, from_secs: i64, now_secs: i64 },
+    #[error("setting tls_certificate: the first certificate in {} cannot be read", .path.display())]
+    Unreadable { path: PathBuf },
+    #[error(
+        "setting tls_certificate: the certificate in {} is not for servers: {why}. Clients would refuse to connect; put \
+         one for servers in its place", .path.display()
+    )]
+    NotForServers { path: PathBuf, why: NotForServers },
+    #[error(
+        "setting tls_certificate: the certificate in {} names no host: clients look for the name or address that they \
+         connect to in its subject alternative names. Make one with the daemon's names and addresses", .path.display()
+    )]
+    NoNames { path: PathBuf },
+    #[error(
+        "setting tls_certificate: the certificate in {} is not for {host}, by which setting cluster.advertise says that \
+         this daemon is reached. It is for {}", .path.display(), .names.join(", ")
+    )]
+    NotAdvertised { path: PathBuf, host: String, names: Vec<String> },
+    #[error(
+        "setting tls_certificate: the certificate in {} is for {}, and the one in use for {}: clients would not take \
+         it. If the daemon has other names now, start it again", .path.display(), .names.join(", "), .before.join(", ")
+    )]
+    OtherNames { path: PathBuf, names: Vec<String>, before: Vec<String> },
+    #[error(
+        "setting tls_certificate: the first certificate in {} is signed by none of those behind it. Put the daemon's own \
+         first, and behind it that of its issuer", .path.display()
+    )]
+    Chain { path: PathBuf },
+    #[error(
+        "setting tls_certificate: {} lacks the certificate of its issuer, which the one in use has with it. Put it behind \
+         the daemon's own", .path.display()
+    )]
+    NoIssuer { path: PathBuf },
     #[error("settings tls_certificate and tls_key cannot be used together: {0}")]
     Pair(rustls::Error),
     #[error("setting tls_client_ca: {} cannot be used: {reason}", .path.display())]
@@ -115,25 +160,55 @@ impl TlsFiles {
 
     /// Tells by when the daemon's certificate has to be replaced: when it, or one behind it in the file, ends.
     fn tell_end(chain: &[CertificateDer<'static>]) {
-        let ends = chain.iter().filter_map(|certificate| validity::validity(certificate)).map(|valid| valid.until_secs);
+        let ends = chain.iter().filter_map(|known| certificate::facts(known)).map(|facts| facts.until_secs);
         if let Some(ends_secs) = ends.min() {
             metrics::gauge!("tidemap_certificate_expiry_seconds").set(ends_secs as f64);
         }
     }
 
     /// Whether clients can take the daemon's own certificate now. Those behind it in the file may not be needed.
-    fn check_dates(&self, chain: &[CertificateDer<'static>]) -> Result<(), TlsError> {
+    fn check_dates(&self, own: &Facts) -> Result<(), TlsError> {
         let now_secs = SystemClock.now_nanos().div_euclid(1_000_000_000);
-        let path = || self.certificate.clone();
-        match chain.first().and_then(|own| validity::validity(own)) {
-            Some(Validity { until_secs, .. }) if until_secs < now_secs => {
-                Err(TlsError::Expired { path: path(), until_secs })
-            }
-            Some(Validity { from_secs, .. }) if from_secs > now_secs => {
-                Err(TlsError::NotYetValid { path: path(), from_secs, now_secs })
-            }
-            _ => Ok(()),
+        let (path, from_secs, until_secs) = (|| self.certificate.clone(), own.from_secs, own.until_secs);
+        if until_secs < now_secs {
+            return Err(TlsError::Expired { path: path(), until_secs });
         }
+        if from_secs > now_secs {
+            return Err(TlsError::NotYetValid { path: path(), from_secs, now_secs });
+        }
+        Ok(())
+    }
+
+    /// Whether clients can take the daemon's own certificate at all: for servers, for the daemon's names, and with
+    /// those of its issuers. `before`: what it replaces.
+    fn check_use(
+        &self,
+        own: &Facts,
+        chain: &[CertificateDer<'static>],
+        before: Option<&InUse>,
+    ) -> Result<(), TlsError> {
+        let (path, names) = (|| self.certificate.clone(), || own.names.clone());
+        if let Some(why) = own.not_for_servers {
+            return Err(TlsError::NotForServers { path: path(), why });
+        }
+        let Some(first) = chain.first().filter(|_| !own.names.is_empty()) else {
+            return Err(TlsError::NoNames { path: path() });
+        };
+        if let Some(host) = self.advertised.as_ref().filter(|host| !certificate::is_for(first, host)) {
+            return Err(TlsError::NotAdvertised { path: path(), host: host.clone(), names: names() });
+        }
+        if chain.len() > 1 && !own.is_self_issued() && !certificate::is_signed_within(chain, own.from_secs) {
+            return Err(TlsError::Chain { path: path() });
+        }
+        let Some(before) = before else { return Ok(()) };
+        if before.names_kept(own, first).next().is_none() {
+            return Err(TlsError::OtherNames { path: path(), names: names(), before: before.own.names.clone() });
+        }
+        // An issuer that the daemon had to send before has to be sent now.
+        if chain.len() == 1 && before.issuers.contains(&own.issuer) && !own.is_self_issued() {
+            return Err(TlsError::NoIssuer { path: path() });
+        }
+        Ok(())
     }
 
     /// The private key's file, if it is not open to everybody. Groups of users that may read keys are usual.
@@ -154,14 +229,35 @@ impl TlsFiles {
         Ok(text)
     }
 
-    /// The settings of handshakes. A certificate that is not valid yet is taken only at the start: a clock that is
-    /// wrong then is often set right a little later, and there is no other certificate.
-    fn load(&self, protocol: Protocol, is_start: bool) -> Result<ServerConfig, TlsError> {
+    /// What the files hold, which replaces what is in use, if there is any. A certificate that is not valid yet is
+    /// taken only at the start: a clock that is wrong then is often set right a little later, and there is no other
+    /// certificate.
+    fn load(&self, protocol: Protocol, before: Option<&InUse>) -> Result<InUse, TlsError> {
         let chain = Self::certificates("tls_certificate", &self.certificate)?;
-        match self.check_dates(&chain) {
-            Err(early @ TlsError::NotYetValid { .. }) if is_start => error!("clients refuse to connect: {early}"),
+        let own = chain.first().and_then(|own| certificate::facts(own));
+        let own = own.ok_or_else(|| TlsError::Unreadable { path: self.certificate.clone() })?;
+        match self.check_dates(&own) {
+            Err(early @ TlsError::NotYetValid { .. }) if before.is_none() => {
+                error!("clients refuse to connect: {early}");
+            }
             checked => checked?,
         }
+        self.check_use(&own, &chain, before)?;
+        let config = Arc::new(self.handshakes(protocol, &chain)?);
+        if let (Some(before), Some(first)) = (before, chain.first()) {
+            before.tell_lost_names(&own, first);
+        }
+        let issuers = chain.iter().skip(1).filter_map(|issuer| certificate::facts(issuer));
+        Ok(InUse {
+            config,
+            issuers: issuers.map(|issuer| issuer.subject).collect(),
+            first: chain.into_iter().next(),
+            own,
+        })
+    }
+
+    /// The settings of handshakes with these certificates.
+    fn handshakes(&self, protocol: Protocol, chain: &[CertificateDer<'static>]) -> Result<ServerConfig, TlsError> {
         let key = PrivateKeyDer::from_pem_slice(&self.key_file()?);
         let missing = |_| TlsError::Missing {
             setting: "tls_key",
@@ -185,8 +281,8 @@ impl TlsFiles {
                 builder.with_client_cert_verifier(verifier.map_err(|error| wrong(error.to_string()))?)
             }
         };
-        let mut config = builder.with_single_cert(chain.clone(), key).map_err(TlsError::Pair)?;
-        Self::tell_end(&chain);
+        let mut config = builder.with_single_cert(chain.to_vec(), key).map_err(TlsError::Pair)?;
+        Self::tell_end(chain);
         config.alpn_protocols = vec![match protocol {
             Protocol::Http2 => b"h2".to_vec(),
             Protocol::Http1 => b"http/1.1".to_vec(),
@@ -199,12 +295,47 @@ fn read(setting: &'static str, path: &Path) -> Result<Vec<u8>, TlsError> {
     std::fs::read(path).map_err(|source| TlsError::Read { setting, path: path.to_owned(), source })
 }
 
+/// The certificate that a port uses.
+struct InUse {
+    config: Arc<ServerConfig>,
+    first: Option<CertificateDer<'static>>,
+    own: Facts,
+    /// The names of the certificates behind it, in DER.
+    issuers: Vec<Vec<u8>>,
+}
+
+impl InUse {
+    /// Those of its names that another certificate is for as well: word by word, or by a wildcard of either.
+    fn names_kept<'a>(
+        &'a self,
+        next: &'a Facts,
+        first: &'a CertificateDer<'static>,
+    ) -> impl Iterator<Item = &'a String> {
+        let is_within = |name: &String| self.first.as_ref().is_some_and(|before| certificate::is_for(before, name));
+        let is_kept = move |name: &&String| {
+            next.names.contains(name)
+                || certificate::is_for(first, name)
+                || (name.starts_with("*.") && next.names.iter().any(is_within))
+        };
+        self.own.names.iter().filter(is_kept)
+    }
+
+    /// Logs the names that the next certificate is not for.
+    fn tell_lost_names(&self, next: &Facts, first: &CertificateDer<'static>) {
+        let kept: Vec<&String> = self.names_kept(next, first).collect();
+        let lost: Vec<&str> = self.own.names.iter().filter(|name| !kept.contains(name)).map(String::as_str).collect();
+        if !lost.is_empty() {
+            warn!("the new certificate is not for {}, as the one before was", lost.join(", "));
+        }
+    }
+}
+
 /// The TLS of a port, whose certificate can be replaced while it is served. Clones share it.
 #[derive(Clone)]
 pub(crate) struct Tls {
     files: Arc<TlsFiles>,
     protocol: Protocol,
-    config: Arc<ArcSwap<ServerConfig>>,
+    in_use: Arc<ArcSwap<InUse>>,
 }
 
 impl fmt::Debug for Tls {
@@ -219,8 +350,8 @@ impl Tls {
     /// # Errors
     /// A file that cannot be used.
     pub(crate) fn new(files: TlsFiles, protocol: Protocol) -> Result<Self, TlsError> {
-        let config = Arc::new(ArcSwap::from_pointee(files.load(protocol, true)?));
-        Ok(Self { files: Arc::new(files), protocol, config })
+        let in_use = Arc::new(ArcSwap::from_pointee(files.load(protocol, None)?));
+        Ok(Self { files: Arc::new(files), protocol, in_use })
     }
 
     /// Reads the files again. New connections use them; open ones are not touched.
@@ -228,14 +359,21 @@ impl Tls {
     /// # Errors
     /// A file that cannot be used; what was in use before stays.
     pub(crate) fn reload(&self) -> Result<(), TlsError> {
-        self.config.store(Arc::new(self.files.load(self.protocol, false)?));
+        let before = self.in_use.load_full();
+        self.in_use.store(Arc::new(self.files.load(self.protocol, Some(&before))?));
         Ok(())
     }
 
     /// A connection whose handshake begins with its first use.
     pub(crate) fn accept(&self, socket: TcpStream, peer: SocketAddr) -> TlsSocket {
-        let acceptor = TlsAcceptor::from(self.config.load_full());
-        TlsSocket { peer, stage: Stage::Handshake(acceptor.accept(socket)) }
+        let acceptor = TlsAcceptor::from(Arc::clone(&self.in_use.load().config));
+        let accept = match self.protocol {
+            Protocol::Http2 => acceptor.accept(socket),
+            Protocol::Http1 => {
+                acceptor.accept_with(socket, |session| session.set_buffer_limit(Some(HTTP_BUFFER_BYTES)))
+            }
+        };
+        TlsSocket { peer, stage: Stage::Handshake(accept.into_fallible()) }
     }
 }
 
@@ -246,9 +384,38 @@ pub(crate) struct TlsSocket {
 }
 
 enum Stage {
-    Handshake(Accept<TcpStream>),
+    Handshake(FallibleAccept<TcpStream>),
     Open(TlsStream<TcpStream>),
+    /// The handshake failed, and the client reads the alert.
+    Refused(RefusedClient),
     Failed,
+}
+
+/// A connection whose handshake failed, until the client has read why.
+struct RefusedClient {
+    socket: TcpStream,
+    error: io::Error,
+    until: Pin<Box<Sleep>>,
+    ignored: usize,
+}
+
+impl RefusedClient {
+    /// Ends the daemon's side, and ignores what the client sends until it ends its own: a client of TLS 1.3 believes
+    /// that the handshake is over, and has sent its first request. Gives the error of the handshake.
+    fn poll_end(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
+        // One that is closed already has nothing to end.
+        let _ = ready!(Pin::new(&mut self.socket).poll_shutdown(context));
+        let mut bytes = [0; 8192];
+        while self.ignored < REFUSED_BYTES && self.until.as_mut().poll(context).is_pending() {
+            let mut buffer = ReadBuf::new(&mut bytes);
+            let read = ready!(Pin::new(&mut self.socket).poll_read(context, &mut buffer));
+            self.ignored += buffer.filled().len();
+            if read.is_err() || buffer.filled().is_empty() {
+                break;
+            }
+        }
+        Poll::Ready(std::mem::replace(&mut self.error, io::ErrorKind::ConnectionAborted.into()))
+    }
 }
 
 impl fmt::Debug for TlsSocket {
@@ -256,6 +423,7 @@ impl fmt::Debug for TlsSocket {
         f.write_str(match self.stage {
             Stage::Handshake(_) => "TlsSocket(handshake)",
             Stage::Open(_) => "TlsSocket(open)",
+            Stage::Refused(_) => "TlsSocket(refused)",
             Stage::Failed => "TlsSocket(failed)",
         })
     }
@@ -266,19 +434,24 @@ impl TlsSocket {
         if let Stage::Handshake(accept) = &mut self.stage {
             self.stage = match ready!(Pin::new(accept).poll(context)) {
                 Ok(stream) => Stage::Open(stream),
-                Err(error) => {
+                Err((error, socket)) => {
                     if let Some(left_out) = FAILURES.next() {
                         info!(peer = %self.peer, %error, left_out, "a TLS handshake failed");
                     }
                     metrics::counter!("tidemap_tls_handshakes_failed_total").increment(1);
-                    self.stage = Stage::Failed;
-                    return Poll::Ready(Err(error));
+                    let until = Box::pin(sleep(REFUSED_LINGER));
+                    Stage::Refused(RefusedClient { socket, error, until, ignored: 0 })
                 }
             };
         }
+        if let Stage::Refused(refusal) = &mut self.stage {
+            let error = ready!(refusal.poll_end(context));
+            self.stage = Stage::Failed;
+            return Poll::Ready(Err(error));
+        }
         Poll::Ready(match &mut self.stage {
             Stage::Open(stream) => Ok(Pin::new(stream)),
-            Stage::Handshake(_) | Stage::Failed => Err(io::ErrorKind::ConnectionAborted.into()),
+            Stage::Handshake(_) | Stage::Refused(_) | Stage::Failed => Err(io::ErrorKind::ConnectionAborted.into()),
         })
     }
 }
@@ -318,7 +491,7 @@ impl AsyncWrite for TlsSocket {
         match &mut self.stage {
             Stage::Open(stream) => Pin::new(stream).poll_shutdown(context),
             // Nothing was said yet that has to be ended.
-            Stage::Handshake(_) | Stage::Failed => Poll::Ready(Ok(())),
+            Stage::Handshake(_) | Stage::Refused(_) | Stage::Failed => Poll::Ready(Ok(())),
         }
     }
 }

@@ -4,11 +4,11 @@
 
 use std::{os::unix::fs::PermissionsExt as _, path::Path, sync::Arc};
 
-use tidemap_map::live_map::PendingLimits;
+use tidemap_map::{live_map::PendingLimits, update::UPDATE_READINGS_MAX};
 use tidemap_model::time::format_rfc3339;
 use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
 use tokio::sync::mpsc;
-use tracing::{error, warn};
+use tracing::{error, info, warn};
 
 use super::DaemonError;
 use crate::{
@@ -16,7 +16,10 @@ use crate::{
     clock::SystemClock,
     cluster::Cluster,
     config::Settings,
-    ingest::writer::{Context, ForkedMap},
+    ingest::{
+        update_turns::UpdateTurns,
+        writer::{Context, ForkedMap},
+    },
     jobs::Jobs,
     random_id::random_id,
     telemetry::{self, traces::Span},
@@ -64,26 +67,23 @@ pub(super) async fn open_catalog(
     forks: mpsc::UnboundedSender<ForkedMap>,
     cluster: Option<Cluster>,
 ) -> Result<(Arc<Catalog>, Vec<UnopenedMap>), DaemonError> {
-    let update_pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(settings.update_threads())
-        .thread_name(|index| format!("learn-{index}"))
-        .build()
-        .map_err(anyhow::Error::from)?;
     let member = cluster.as_ref().map(|cluster| Jobs::of_member(&cluster.settings().member));
     let jobs = member.unwrap_or_default();
     let context = Context {
         store,
         jobs: Arc::new(jobs),
         clock: Arc::new(SystemClock),
-        update_pool: Arc::new(update_pool),
+        update_turns: Arc::new(UpdateTurns::new(settings.update_threads())),
         fatal,
         forks,
         max_states: settings.max_states_per_map,
         max_producers: settings.max_producers_per_map,
+        max_producers_of_client: settings.max_producers_per_client,
         max_pending: PendingLimits {
             observations: settings.max_pending_observations,
             changes: settings.max_pending_changes,
         },
+        update_readings_max: UPDATE_READINGS_MAX,
         update_at_midnight: settings.update_at_midnight,
         max_tiles: settings.max_tiles_per_map,
         tile_cache_bytes: settings.tile_cache_bytes,
@@ -118,13 +118,13 @@ fn close_to_others(folder: &Path) {
 fn tell_state(store: &Store, folder: &Path) {
     let (id, folder) = (store.store_id(), folder.display());
     if store.is_new() {
-        warn!(
+        info!(
             "{folder} is a new data folder, with the store id {id}. If it should have held data: is its disk mounted? To \
              refuse any other folder from now on, put this line into the config file: expect_store_id = \"{id}\""
         );
     }
-    for report in store.reports() {
-        warn!("{report}");
+    for repair in store.repairs() {
+        warn!("{repair}");
     }
     for trouble in store.trouble() {
         error!("{trouble}");

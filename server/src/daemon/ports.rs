@@ -19,8 +19,8 @@ use crate::{
     catalog::Catalog,
     config::Settings,
     connections::{
-        ConnectionLimits, Connections, Port,
-        accept::{Accepted, Acceptor, HttpListener, Listener},
+        ConnectionLimits, Connections, HTTP_CONNECTIONS, Port,
+        accept::{Accepted, Acceptor, Listener},
         socket::listen_unix,
         tls::{Protocol, Tls, TlsFiles},
     },
@@ -36,9 +36,8 @@ use crate::{
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 /// A connection of the gRPC port without a request for this long may make room for another.
 const GRPC_IDLE_AFTER: Duration = Duration::from_secs(60);
-/// Limits of the HTTP port. Browsers and scripts connect again where they find an idle connection closed.
-const HTTP_CONNECTIONS: ConnectionLimits =
-    ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
+/// What the system keeps of a reply that is not read; it takes twice as much.
+const HTTP_SEND_BUFFER_BYTES: usize = 64 << 10;
 /// Limits of its reserve, for those who ask whether the daemon lives.
 const PROBE_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 32, per_client: 4, idle_after: Duration::ZERO };
 /// Connections that wait until they are accepted: a whole fleet may come back at once. The system may allow fewer.
@@ -166,10 +165,16 @@ impl Ports {
         let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
         let grpc_is_local = grpc_address.ip().is_loopback();
         let grpc = rpc::serve::serve(connections, access.clone(), services, grpc_is_local, ports_stopping.clone());
-        let listeners = accept_http(http, http_address, http_tls.clone().filter(|_| has_tls));
+        let listeners = accept_http(http, http_tls.clone().filter(|_| has_tls));
         let access = if is_local { Access::Anybody } else { access };
         let http = http::serve(listeners, Arc::clone(catalog), metrics, access, web, stopping, ports_stopping);
-        let (grpc, http) = (tokio::spawn(grpc), tokio::spawn(http));
+        let (grpc, http) = (
+            tokio::spawn(grpc),
+            tokio::spawn(async move {
+                http.await;
+                Ok(())
+            }),
+        );
         let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
         if !tls.is_empty() {
             crate::task::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
@@ -239,11 +244,15 @@ fn accept_grpc(
 }
 
 /// The connections of the HTTP port, and those of its reserve.
-fn accept_http(port: TcpListener, address: SocketAddr, tls: Option<Tls>) -> [HttpListener; 2] {
+fn accept_http(port: TcpListener, tls: Option<Tls>) -> [mpsc::Receiver<std::io::Result<Accepted>>; 2] {
+    // Replies wait where they are counted, and not in the system, whose memory is the pod's as well.
+    if let Err(error) = rustix::net::sockopt::set_socket_send_buffer_size(&port, HTTP_SEND_BUFFER_BYTES) {
+        warn!(%error, "the system keeps as much of unread replies as it likes");
+    }
     let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS));
     let (acceptor, in_reserve) = acceptor.with_reserve(Connections::new(Port::Probes, PROBE_CONNECTIONS));
     acceptor.listen(Listener::Tcp(port, tls));
-    [accepted, in_reserve].map(|accepted| HttpListener { address, accepted })
+    [accepted, in_reserve]
 }
 
 /// The limits of the gRPC port. The process may open as many descriptors as its hard limit allows; if that is too few

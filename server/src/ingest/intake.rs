@@ -28,7 +28,7 @@ use tidemap_proto::convert::{
 use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 
 mod cast_table;
-mod early;
+pub(crate) mod early;
 mod known_content;
 mod reports;
 mod scans;

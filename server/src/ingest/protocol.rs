@@ -29,7 +29,7 @@ mod streams;
 pub(crate) use batches::{
     CheckedScan, NewName, ObservationBatch, RefusedObservation, ReportBatch, ScanBatch, ScanOrigin,
 };
-pub(crate) use edits::{AddState, AddStateError, EditSite, EditSiteError};
+pub(crate) use edits::{AddState, AddStateError, EditSite, EditSiteError, ForgetError, ForgetProducers, NoRoom};
 pub(crate) use history::{HistoryTail, PendingExtract, ReadHistory, ReadPending};
 pub(crate) use streams::{BufferBudget, Hello, HelloError, SessionEvent, SessionId, StreamData, Welcome};
 
@@ -75,6 +75,8 @@ pub(crate) enum Command {
     AddState(AddState),
     /// Edit the site.
     EditSite(EditSite),
+    /// Let producers give their places up.
+    ForgetProducers(ForgetProducers),
     /// Return what is not in the store's history yet.
     ReadHistory(ReadHistory),
     /// Return some of what the next update could learn.

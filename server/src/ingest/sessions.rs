@@ -10,10 +10,10 @@ use tidemap_grid::{
     sensors::ProducerSensor,
 };
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Reporting, SequenceSpan, StateKind, StateSensor},
-    ids::{NewProducer, ProducerId, StateId},
+    event::{Envelope, Event, SequenceSpan},
+    ids::{NewProducer, ProducerId},
     live_map::LiveMap,
-    name::{ProducerKey, StateName},
+    name::ProducerKey,
 };
 use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
@@ -21,16 +21,23 @@ use tokio::sync::mpsc;
 use super::{
     ending::Ending,
     probe::Probe,
-    protocol::{Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
+    protocol::{ForgetError, ForgetProducers, Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
 };
 
 mod observations;
+mod places;
 mod reports;
 mod scans;
 mod sensors;
 mod states;
+mod states_in_flight;
 
+use places::{PlaceKind, Places};
 use states::StreamState;
+use states_in_flight::StatesInFlight;
+
+/// For each place of a producer key so many may be forgotten: what they sent keeps its numbers, which takes memory.
+const FORGOTTEN_PER_PLACE: usize = 10;
 
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
@@ -48,6 +55,8 @@ pub(super) struct Session {
     producer: Option<ProducerId>,
     /// The sensor of all its scans; `None`: the map's default.
     sensor: Option<ProducerSensor>,
+    /// The client, as shares count it; empty: it has no share of its own.
+    client: String,
     incarnation: u64,
     probe: Option<Probe>,
     events: mpsc::UnboundedSender<SessionEvent>,
@@ -70,7 +79,8 @@ impl Session {
         let producer = ProducerId(u32::try_from(map.producers() + *in_flight).unwrap_or(u32::MAX));
         *in_flight += 1;
         self.producer = Some(producer);
-        (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor }))
+        let introduced_by = self.client.clone();
+        (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor, introduced_by }))
     }
 
     /// The envelope of an event of the stream, which is in flight from now on. Sorts what was refused.
@@ -109,6 +119,8 @@ pub(super) struct SessionLimits {
     pub states: usize,
     /// Producer keys of the map.
     pub producers: usize,
+    /// Producer keys of the map that one client has introduced.
+    pub producers_of_client: usize,
     /// Observations, or tiles of scans, that wait because their time is in the future.
     pub ahead: u64,
     /// Tiles of the map.
@@ -121,15 +133,7 @@ pub(super) struct Sessions {
     next_id: u64,
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
-    states_in_flight: HashMap<StateName, (StateId, StateKind)>,
-    /// Sensors of states in flight, where they are known.
-    sensors_in_flight: HashMap<StateId, StateSensor>,
-    /// How states in flight are reported that do not report samples.
-    reportings_in_flight: HashMap<StateId, Reporting>,
-    /// Categorical states in flight: the first label of each, and how many there are.
-    categorical_in_flight: HashMap<StateName, (StateId, u8)>,
-    /// New names in flight, of states that still have their old names.
-    renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
+    states_in_flight: StatesInFlight,
     producers_in_flight: usize,
     /// The highest incarnation given to keys that have nothing durable yet.
     issued: HashMap<ProducerKey, u64>,
@@ -140,6 +144,8 @@ pub(super) struct Sessions {
     log_head: Option<LogHead>,
     /// Tiles of scans in flight that wait because their time is in the future.
     tiles_ahead: u64,
+    state_places: Places,
+    tile_places: Places,
     limits: SessionLimits,
 }
 
@@ -149,17 +155,15 @@ impl Sessions {
             next_id: 1,
             sessions: BTreeMap::new(),
             open_by_key: HashMap::new(),
-            states_in_flight: HashMap::new(),
-            sensors_in_flight: HashMap::new(),
-            reportings_in_flight: HashMap::new(),
-            categorical_in_flight: HashMap::new(),
-            renames_in_flight: HashMap::new(),
+            states_in_flight: StatesInFlight::default(),
             producers_in_flight: 0,
             issued: HashMap::new(),
             broken: Vec::new(),
             offsets,
             log_head: None,
             tiles_ahead: 0,
+            state_places: Places::new(PlaceKind::States, limits.states),
+            tile_places: Places::new(PlaceKind::Tiles, limits.tiles),
             limits,
         }
     }
@@ -187,6 +191,9 @@ impl Sessions {
             return Err(HelloError::AlreadyStreaming { key: hello.key.clone(), open });
         }
         if hello.incarnation != 0 && hello.incarnation < current {
+            if mark.is_some_and(|(_, mark)| mark.is_forgotten) {
+                return Err(HelloError::Forgotten { key: hello.key.clone() });
+            }
             return Err(HelloError::Fenced { key: hello.key.clone(), got: hello.incarnation, current });
         }
         let sensor = self.sensor(hello, map)?;
@@ -196,9 +203,8 @@ impl Sessions {
         if self.sessions.values().any(|session| session.key == hello.key && session.in_flight > 0) {
             return Ok(None);
         }
-        let new_keys = self.open_by_key.keys().filter(|key| map.producer(key).is_none()).count();
-        if mark.is_none() && map.producers() + new_keys >= self.limits.producers {
-            return Err(HelloError::TooManyProducers { max: self.limits.producers });
+        if mark.is_none_or(|(_, mark)| mark.is_forgotten) {
+            self.check_place(hello, map)?;
         }
         let id = SessionId(self.next_id);
         self.next_id += 1;
@@ -209,6 +215,7 @@ impl Sessions {
                 key: hello.key.clone(),
                 producer: mark.map(|(id, _)| id),
                 sensor,
+                client: hello.client.clone(),
                 incarnation,
                 probe: hello.probe.clone(),
                 events: hello.events.clone(),
@@ -233,32 +240,75 @@ impl Sessions {
         Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc, content_marks }))
     }
 
+    /// Whether there is a place for a producer key that has none.
+    fn check_place(&self, hello: &Hello, map: &LiveMap) -> Result<(), HelloError> {
+        let has_place = |key: &ProducerKey| map.producer(key).is_some_and(|(_, mark)| !mark.is_forgotten);
+        let new = || self.sessions.values().filter(|session| session.open && !has_place(&session.key));
+        if map.producer_places() + new().count() >= self.limits.producers {
+            return Err(HelloError::TooManyProducers { max: self.limits.producers });
+        }
+        let (client, max) = (&hello.client, self.limits.producers_of_client);
+        let marks = map.producer_marks().iter().filter(|mark| !mark.is_forgotten && mark.introduced_by == *client);
+        if !client.is_empty() && marks.count() + new().filter(|session| session.client == *client).count() >= max {
+            return Err(HelloError::TooManyOfClient { client: client.clone(), max });
+        }
+        Ok(())
+    }
+
+    /// The keys of a producer that can give their places up.
+    ///
+    /// # Errors
+    /// There is none, one has a stream, or too many are forgotten.
+    pub(super) fn forgettable(&self, forget: &ForgetProducers, map: &LiveMap) -> Result<Vec<ProducerId>, ForgetError> {
+        let ForgetProducers { producer, label, .. } = forget;
+        let is_meant =
+            |key: &ProducerKey| key.producer() == producer && label.as_ref().is_none_or(|label| key.label() == label);
+        let busy = |session: &&Session| is_meant(&session.key) && (session.open || session.in_flight > 0);
+        if let Some(session) = self.sessions.values().find(busy) {
+            let label = session.key.label().to_owned();
+            return Err(ForgetError::Streaming { producer: producer.clone(), label });
+        }
+        let marks = (0..).map(ProducerId).zip(map.producer_marks());
+        let meant = marks.filter(|(_, mark)| !mark.is_forgotten && is_meant(&mark.key));
+        let found: Vec<ProducerId> = meant.map(|(id, _)| id).collect();
+        if found.is_empty() {
+            return Err(ForgetError::Unknown { producer: producer.clone(), label: label.clone() });
+        }
+        let (forgotten, max) = (map.forgotten_producers(), FORGOTTEN_PER_PLACE * self.limits.producers);
+        if forgotten + found.len() > max {
+            return Err(ForgetError::TooMany { forgotten, max });
+        }
+        Ok(found)
+    }
+
     /// An event of the stream was applied to the map. `tiles_ahead`: its tiles that wait for their time.
     pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
         let Some(envelope) = event.envelope() else { return };
         // A time in the future does not close the days before it.
         let plausible = envelope.plausible_nanos();
+        let (mut new_states, mut new_tiles) = (0, 0);
         let newest = match event {
             Event::Observations(_, event) => {
-                for (id, name, _) in event.new_states.iter().flat_map(NewState::states) {
-                    self.states_in_flight.remove(&name);
-                    self.reportings_in_flight.remove(&id);
-                }
+                new_states = event.new_states.iter().map(|new| self.states_in_flight.remove(new)).sum();
                 event.times_nanos.iter().copied().filter(|time| *time <= plausible).max()
             }
             Event::Scans(_, event) => {
+                new_tiles = event.new_tiles.len();
                 event.scans.iter().map(|scan| scan.utc_nanos).filter(|time| *time <= plausible).max()
             }
             Event::UpdateStart(_)
             | Event::AddState(_)
             | Event::EditSite(_)
             | Event::Epoch(_)
-            | Event::UpdateDone(_) => None,
+            | Event::UpdateDone(_)
+            | Event::ForgetProducers(_) => None,
         };
         self.producers_in_flight -= usize::from(envelope.new_producer.is_some());
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
+            self.state_places.applied(&session.client, new_states);
+            self.tile_places.applied(&session.client, new_tiles);
             self.issued.remove(&session.key);
             if let (Some(reached), Some(newest)) = (session.data_time.as_mut(), newest) {
                 *reached = (*reached).max(newest);
@@ -279,12 +329,10 @@ impl Sessions {
     /// All batches in flight have failed: forgets what they would have added.
     pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
-        self.sensors_in_flight.clear();
-        self.reportings_in_flight.clear();
-        self.categorical_in_flight.clear();
-        self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;
+        self.state_places.roll_back();
+        self.tile_places.roll_back();
         self.log_head = None;
         for session in self.sessions.values_mut() {
             session.sent_tiles.forget_tiles();

@@ -84,6 +84,11 @@ impl UpdateSchedule {
         }
     }
 
+    /// Adds what one update has left to the next, before all others.
+    pub(super) fn push_first(&mut self, update: DueUpdate) {
+        self.queue.push_front(update);
+    }
+
     /// The log did not accept the start of an update: what made it due still holds.
     pub(super) fn failed(&mut self, cause: UpdateCause) {
         match cause {
@@ -133,6 +138,7 @@ impl UpdateSchedule {
         if self.at_midnight {
             self.look_at_clock(map, now_nanos);
         }
+        self.look_at_waiting_rows(map, now_nanos);
         self.look_at_pending(map, now_nanos);
     }
 
@@ -180,6 +186,13 @@ impl UpdateSchedule {
         if missed && midnight != self.clock_midnight_nanos {
             self.clock_midnight_nanos = midnight;
             self.due(Some(midnight), UpdateCause::Midnight, now_nanos);
+        }
+    }
+
+    /// A restart, or another daemon that has become the writer, finds rows that an update left to the next.
+    fn look_at_waiting_rows(&mut self, map: &LiveMap, now_nanos: i64) {
+        if map.waiting_rows() > 0 && !map.is_updating() && self.queue.is_empty() {
+            self.due(Some(map.cut_nanos()), UpdateCause::PendingLimit, now_nanos);
         }
     }
 

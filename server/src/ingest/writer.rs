@@ -51,6 +51,7 @@ use super::{
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
+    update_turns::UpdateTurns,
 };
 use crate::{clock::Clock, cluster::Cluster, jobs::Jobs};
 
@@ -75,6 +76,7 @@ use follower::Follower;
 pub(crate) use follower::ForkedMap;
 use saves::{Saves, checkpoint_span};
 use update_ends::UpdateEnds;
+pub(crate) use update_run::UpdateFailed;
 use update_run::Updates;
 
 /// What a writer needs from the daemon.
@@ -83,7 +85,7 @@ pub(crate) struct Context {
     pub store: Arc<Store>,
     pub jobs: Arc<Jobs>,
     pub clock: Arc<dyn Clock>,
-    pub update_pool: Arc<rayon::ThreadPool>,
+    pub update_turns: Arc<UpdateTurns>,
     /// Receives a message when storage has failed for good.
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,
     /// Receives the maps whose log and the one that daemons share differ, when their writers have stopped.
@@ -94,8 +96,13 @@ pub(crate) struct Context {
     pub max_states: usize,
     /// Maximum number of producer keys of a map.
     pub max_producers: usize,
+    /// Producer keys of a map that one client has introduced.
+    pub max_producers_of_client: usize,
     /// Pending observations above which an update runs early.
     pub max_pending: PendingLimits,
+    /// Maximum number of readings that rows stand for in an update: the constant of the same name, but for tests.
+    /// Daemons of a cluster must have the same.
+    pub update_readings_max: u64,
     /// Whether the local midnight of the clock makes an update due.
     pub update_at_midnight: bool,
     /// Maximum number of tiles of a map.
@@ -177,6 +184,7 @@ fn build(
     let limits = SessionLimits {
         states: context.max_states,
         producers: context.max_producers,
+        producers_of_client: context.max_producers_of_client,
         // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
         ahead: context.max_pending.observations / 4,
         tiles: context.max_tiles,
@@ -291,6 +299,7 @@ impl Writer {
             Command::Saved(result) => self.saved(result),
             Command::AddState(add) => self.add_state(add),
             Command::EditSite(edit) => self.edit_site(edit),
+            Command::ForgetProducers(forget) => self.forget_producers(forget),
             Command::ReadHistory(read) => self.read_history(read),
             Command::ReadPending(read) => self.read_pending(read),
             // The clients may have gone away.

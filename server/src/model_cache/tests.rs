@@ -146,16 +146,6 @@ async fn a_model_that_is_being_trained_is_not_given_up_for_others() {
     assert_eq!(cache.entries.lock().expect("no panic").slots.len(), 1);
 }
 
-#[test]
-fn requests_hold_no_more_than_may_be_kept() {
-    let cache: ModelCache = ModelCache::new(10);
-    let first = cache.reserve(7).expect("room");
-    assert_eq!((cache.reserved(), cache.reserve(4).is_none(), cache.reserve(usize::MAX).is_none()), (7, true, true));
-    let second = cache.reserve(3).expect("room");
-    drop((first, second));
-    assert!(cache.reserve(10).is_some());
-}
-
 #[tokio::test]
 async fn a_training_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
     let cache = ModelCache::<CachedModel>::new(3);

@@ -7,6 +7,17 @@ use tidemap_model::{models::CannotTrain, selector::ModelKind};
 
 use crate::state_or_cell::StateOrCell;
 
+/// What a model is of.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum ModelSubject {
+    /// A state or cell.
+    #[error("model {model} of state {state:?}")]
+    State { model: ModelKind, state: String },
+    /// A flow of people.
+    #[error("flow of {state:?} by {motion_state:?}")]
+    Flow { state: String, motion_state: String },
+}
+
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {

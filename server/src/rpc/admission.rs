@@ -30,17 +30,14 @@ use crate::{
         table::{Need, OBSERVE, method_name, need},
     },
     connections::{Busy, Peer, Remote},
+    shares::{Share, ShareFull, Shares, Taken, client::Client},
     telemetry::{occasional::Occasional, traces::Span},
 };
 
 mod arriving;
-mod shares;
 
 use arriving::ArrivingBody;
-use shares::Shares;
-pub(crate) use shares::{Share, Taken};
 
-/// Watches of anomalies have a bound of their own, `max_watches`.
 const WATCH_ANOMALIES: &str = "/tidemap.v1.QueryService/WatchAnomalies";
 const WATCH_HEALTH: &str = "/grpc.health.v1.Health/Watch";
 
@@ -53,15 +50,6 @@ const STREAMED: [&str; 3] = [
 
 static DENIALS: Occasional = Occasional::new();
 
-/// Bounds of requests under way.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RequestLimits {
-    /// Maximum number of requests.
-    pub total: usize,
-    /// Maximum number of requests of one client.
-    pub per_client: usize,
-}
-
 /// What the requests of all ports hold. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct Admission {
@@ -71,9 +59,9 @@ pub(crate) struct Admission {
 }
 
 impl Admission {
-    /// Nothing is under way.
-    pub(crate) fn new(limits: RequestLimits, peers: Option<PeerSecret>) -> Self {
-        Self { shares: Shares::new(limits), peers }
+    /// Requests take of these shares.
+    pub(crate) fn new(shares: Shares, peers: Option<PeerSecret>) -> Self {
+        Self { shares, peers }
     }
 
     /// A service for callers with this access.
@@ -95,7 +83,7 @@ pub(crate) fn note_denial(peer: Peer, method: &str, error: &RpcError) {
 #[derive(Clone, Debug)]
 pub(crate) struct Admitted {
     caller: Caller,
-    peer: Peer,
+    client: Client,
     _held: Arc<(Option<Taken>, Option<Busy>)>,
 }
 
@@ -168,15 +156,16 @@ impl<S> AdmittedService<S> {
         })?;
         let is_stranger = need(path) == Some(Need::Open) && !matches!(caller, Caller::Holder(_));
         let share = match method {
-            // Streams of observations have a bound of their own, `max_streams`, and take their requests when they like.
+            // They have bounds of their own, and streams take their requests when they like.
             OBSERVE | WATCH_ANOMALIES => None,
             WATCH_HEALTH => Some(Share::HealthWatches),
             _ if is_stranger => Some(Share::Open),
             _ => Some(Share::Requests),
         };
-        let taken = share.map(|share| self.shares.take(share, peer, 1)).transpose()?;
+        let client = Client::of(&caller, headers, peer, self.peers.as_ref());
+        let taken = share.map(|share| self.shares.take(share, &client, 1)).transpose()?;
         let busy = remote.map(|remote| remote.busy(!matches!(caller, Caller::Stranger)));
-        Ok(Admitted { caller, peer, _held: Arc::new((taken, busy)) })
+        Ok(Admitted { caller, client, _held: Arc::new((taken, busy)) })
     }
 
     /// Reads the whole body of a request that was admitted, with what it holds of the bytes of large requests. `None`:
@@ -190,15 +179,15 @@ impl<S> AdmittedService<S> {
         body: axum::body::Body,
         max: usize,
     ) -> Result<Option<(Vec<u8>, Option<Taken>)>, Status> {
-        ArrivingBody::new(Body::new(body), false, admitted.peer, self.shares.clone()).read_all(max).await
+        ArrivingBody::new(Body::new(body), false, admitted.client.clone(), self.shares.clone()).read_all(max).await
     }
 
     /// Room for a large request as JSON.
     ///
     /// # Errors
     /// There is none.
-    pub(crate) fn large_json(&self, admitted: &Admitted) -> Result<Taken, RpcError> {
-        self.shares.take(Share::LargeJson, admitted.peer, 1)
+    pub(crate) fn large_json(&self, admitted: &Admitted) -> Result<Taken, ShareFull> {
+        self.shares.take(Share::LargeJson, &admitted.client, 1)
     }
 }
 
@@ -227,10 +216,11 @@ where
         let method = method_name(request.uri().path());
         if method != OBSERVE {
             let is_streamed = STREAMED.contains(&method);
-            let (peer, shares) = (admitted.peer, self.shares.clone());
-            request = request.map(|body| Body::new(ArrivingBody::new(body, is_streamed, peer, shares)));
+            let (client, shares) = (admitted.client.clone(), self.shares.clone());
+            request = request.map(|body| Body::new(ArrivingBody::new(body, is_streamed, client, shares)));
         }
         request.extensions_mut().insert(admitted.caller.clone());
+        request.extensions_mut().insert(admitted.client.clone());
         // The metrics do not count what lasts.
         let lasts = matches!(method, OBSERVE | WATCH_ANOMALIES | WATCH_HEALTH);
         let span = Span::of_request(request.headers(), method);

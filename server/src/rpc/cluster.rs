@@ -246,7 +246,7 @@ impl ClusterService for ClusterCalls {
             }
             store.remove_fork(id, &fork).map_err(|error| RpcError::from(CatalogError::from(error)))
         };
-        crate::task::blocking(discard).await.map_err(|_| RpcError::Stopping)??;
+        crate::task::blocking(discard).await??;
         tracing::warn!(map = %handle.spec.name, "an operator has removed a fork");
         Ok(Response::new(v1::DiscardForkResponse {}))
     }
@@ -258,7 +258,7 @@ impl ClusterService for ClusterCalls {
         let handle = find_published(&self.catalog, &map)?;
         let store = Arc::clone(&self.catalog.context().store);
         let (for_list, id) = (Arc::clone(&store), handle.id);
-        let forks = crate::task::blocking(move || for_list.forks(id)).await.map_err(|_| RpcError::Stopping)?;
+        let forks = crate::task::blocking(move || for_list.forks(id)).await?;
         let forks = forks.map_err(OperationError::from).map_err(RpcError::from)?;
         if forks.iter().all(|known| known.name != fork) {
             let fork = fork.chars().take(80).collect();

@@ -220,7 +220,11 @@ pub(super) fn read_fork(
                 Vec::new()
             }
             // The map has updates and epochs of its own.
-            Event::AddState(_) | Event::UpdateStart(_) | Event::Epoch(_) | Event::UpdateDone(_) => Vec::new(),
+            Event::AddState(_)
+            | Event::UpdateStart(_)
+            | Event::Epoch(_)
+            | Event::UpdateDone(_)
+            | Event::ForgetProducers(_) => Vec::new(),
         };
         if let Some(envelope) = event.envelope() {
             let (producer, label) = names.producer(envelope.producer, known);
@@ -258,6 +262,8 @@ mod tests {
             newest_nanos: 0,
             recent: vec![ContentMark { sequence: 15, crc: 0xA }],
             has_scans: false,
+            is_forgotten: false,
+            introduced_by: String::new(),
         };
         let span = |first, last, content_crc| SequenceSpan { first, last, content_crc };
         assert_eq!(known_to(&mark, 3, span(9, 12, 0)), 12, "it is the producer that the fork knew");

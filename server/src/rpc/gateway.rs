@@ -33,14 +33,17 @@ use super::{
 use crate::{
     access::{
         Caller,
+        peer_secret::PeerSecret,
         places::{Place, place},
     },
     catalog::Catalog,
+    cluster::Cluster,
     ingest::{
         handle::{MapHandle, OpenProgress, Shown},
         role::MapRole,
     },
     peers::{Peers, SharedMaps},
+    shares::client::Client,
     telemetry::traces::Span,
 };
 
@@ -87,6 +90,8 @@ const OWN_PREFIX: &str = "tidemap-";
 pub(crate) struct ClusterGateway {
     catalog: Arc<Catalog>,
     peers: Arc<dyn Peers>,
+    /// What the other daemons know this one by.
+    secret: Option<PeerSecret>,
     links: Arc<Links>,
     /// Becomes true when the daemon stops.
     stopping: watch::Receiver<bool>,
@@ -125,7 +130,8 @@ pub(super) async fn answer_or_pass(
     if !is_observe {
         return answer.await;
     }
-    late(Box::pin(Span::current().scope(Caller::current().scope(answer))))
+    let answer = Client::current().scope(Caller::current().scope(answer));
+    late(Box::pin(Span::current().scope(answer)))
 }
 
 async fn first_message(parts: &Parts, body: &mut PeekedBody<Body>) -> Result<Option<axum::body::Bytes>, Status> {
@@ -172,7 +178,9 @@ fn token(map: &MapHandle, Shown { position, generation }: Shown) -> ReadToken {
 
 impl ClusterGateway {
     pub(super) fn new(catalog: Arc<Catalog>, shared: SharedMaps, stopping: watch::Receiver<bool>) -> Self {
-        Self { catalog, peers: shared.peers, links: Arc::new(Links::new(shared.tls, shared.tokens_in_clear)), stopping }
+        let secret = catalog.context().cluster.as_ref().map(Cluster::secret);
+        let links = Arc::new(Links::new(shared.tls, shared.tokens_in_clear));
+        Self { catalog, peers: shared.peers, secret, links, stopping }
     }
 
     async fn answer(&self, place: Place, mut call: GatewayCall, next: Next) -> Result<Response, Status> {
@@ -362,6 +370,7 @@ impl ClusterGateway {
             token.set_sensitive(true);
             headers.insert(header::AUTHORIZATION, token);
         }
+        Client::current().name_in(&mut headers, self.secret.as_ref());
         headers
     }
 

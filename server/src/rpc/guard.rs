@@ -17,10 +17,13 @@ use super::{
     status::RpcError,
     watched_body::{Direction, WatchedBody},
 };
-use crate::access::{
-    Caller, Role,
-    keyring::{Denial, Keyring},
-    table::{Need, need},
+use crate::{
+    access::{
+        Caller, Role,
+        keyring::{Denial, Keyring},
+        table::{Need, need},
+    },
+    shares::client::Client,
 };
 
 /// How a port checks its callers.
@@ -77,6 +80,14 @@ impl Access {
 }
 
 impl Access {
+    /// Ready when the token of a caller is no longer valid as it was; never for a caller without one.
+    pub(crate) async fn revoked(self, caller: Caller) {
+        match self {
+            Self::Tokens(keyring) => keyring.revoked(caller).await,
+            Self::Anybody | Self::Readers => std::future::pending().await,
+        }
+    }
+
     /// Does work for a caller, until the caller's token is revoked.
     ///
     /// # Errors
@@ -97,9 +108,10 @@ impl Access {
 /// Works on a request for the caller that admission has found, until the caller's token is revoked.
 pub(super) async fn serve_caller(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     let caller = request.extensions_mut().remove::<Caller>().unwrap_or(Caller::Stranger);
+    let client = request.extensions_mut().remove::<Client>().unwrap_or_else(Client::current);
     request.headers_mut().remove(AUTHORIZATION);
     let (Access::Tokens(keyring), Caller::Holder(token)) = (access, &caller) else {
-        return caller.scope(next.run(request)).await;
+        return client.scope(caller.scope(next.run(request))).await;
     };
     if let Some(Need::Role(Role::Operator | Role::Admin) | Need::AllMaps(_)) = need(request.uri().path()) {
         info!(token = %token.id, method = %request.uri().path(), "an operator's request");
@@ -107,7 +119,7 @@ pub(super) async fn serve_caller(State(access): State<Access>, mut request: Requ
     let (for_caller, for_reply) = (caller.clone(), keyring.clone());
     let for_request = (keyring.clone(), caller.clone());
     let request = request.map(|body| WatchedBody::wrap(body, for_request.0, for_request.1, Direction::Request));
-    let work = for_caller.scope(next.run(request));
+    let work = client.scope(for_caller.scope(next.run(request)));
     tokio::select! {
         response = work => response.map(|body| WatchedBody::wrap(body, for_reply, caller, Direction::Reply)),
         () = keyring.revoked(caller.clone()) => Status::from(RpcError::Revoked).into_http::<Body>(),

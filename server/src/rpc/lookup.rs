@@ -150,7 +150,7 @@ pub(super) async fn find_all(
         names.iter().enumerate().map(find).collect()
     };
     // A cell may have to be read from the disk.
-    if any_cell { crate::task::blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
+    if any_cell { crate::task::blocking(find).await? } else { find() }
 }
 
 /// A cell with its tile and its description.

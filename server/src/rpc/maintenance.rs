@@ -31,9 +31,10 @@ use crate::{
     backups::{self, TargetError},
     catalog::{Catalog, CatalogError, erasure::states_of},
     connections::{Peer, Remote},
-    ingest::protocol::{Command, KnownProducer},
+    ingest::protocol::{Command, ForgetError, ForgetProducers, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
     rpc::lookup::{find_map, find_state},
+    shares::{Share, Shares, client::Client},
     statistics, update_worth,
 };
 
@@ -47,6 +48,8 @@ pub(crate) struct Maintenance {
     pub backup_dir: PathBuf,
     /// Where the daemon serves its page.
     pub page: PageAddress,
+    /// What clients share.
+    pub shares: Shares,
 }
 
 /// Where the daemon serves its page.
@@ -185,8 +188,15 @@ impl MaintenanceService for Maintenance {
         if let Some(refused) = handle.role().not_writer(&handle.spec.name) {
             return Err(RpcError::from(refused).into());
         }
+        let place = self.shares.take(Share::Updates, &Client::current(), 1)?;
         let context = self.catalog.context();
         let job = context.jobs.create(handle.spec.name.clone(), UpdateCause::Request, context.clock.now_nanos());
+        let mut status = job.watch();
+        crate::task::spawn(async move {
+            let _place = place;
+            // An error means that the job is gone.
+            let _ = status.wait_for(|status| status.phase.has_ended()).await;
+        });
         let command = Command::Update { until_nanos, cause: UpdateCause::Request, job: Arc::clone(&job) };
         if !handle.send(command) {
             job.end(Err("the daemon is stopping".to_owned()));
@@ -271,9 +281,23 @@ impl MaintenanceService for Maintenance {
             durable_sequence: known.mark.durable_sequence,
             is_connected: known.is_connected,
             received_time: Some(timestamp(known.mark.received_nanos)),
+            is_forgotten: known.mark.is_forgotten,
         };
         let producers = known[range].iter().map(producer).collect();
         Ok(Response::new(v1::ListProducersResponse { producers, next_page_token }))
+    }
+
+    async fn forget_producer(
+        &self,
+        request: Request<v1::ForgetProducerRequest>,
+    ) -> RpcReply<v1::ForgetProducerResponse> {
+        let v1::ForgetProducerRequest { map, producer, label } = request.into_inner();
+        let handle = find_map(&self.catalog, &map).await?;
+        let (reply, answer) = oneshot::channel();
+        let forget = Command::ForgetProducers(ForgetProducers { producer, label, reply });
+        let answer = if handle.send(forget) { answer.await.ok() } else { None };
+        let forgotten = answer.unwrap_or(Err(ForgetError::Closing)).map_err(RpcError::from)?;
+        Ok(Response::new(v1::ForgetProducerResponse { forgotten }))
     }
 
     async fn create_backup(&self, request: Request<v1::CreateBackupRequest>) -> RpcReply<v1::CreateBackupResponse> {
@@ -288,7 +312,7 @@ impl MaintenanceService for Maintenance {
             let target = folder.map_or_else(|| Ok(PathBuf::from(&path)), |folder| backups::target(&folder, &path));
             Ok::<_, RpcError>(backups::make(&store, &target?)?)
         };
-        let copied = crate::task::blocking(work).await.map_err(|_| RpcError::Stopping)?;
+        let copied = crate::task::blocking(work).await?;
         let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied?;
         Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
     }

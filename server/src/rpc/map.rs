@@ -31,6 +31,7 @@ use crate::{
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
     rpc::lookup::{check_on_grid, check_scope, find_all, find_map, opened},
+    shares::client::Client,
     state_or_cell::StateOrCell,
 };
 
@@ -108,7 +109,7 @@ impl MapService for Maps {
         let handle = find_map(&self.catalog, &request.map).await?;
         let state = declared_state_from_wire(&request).map_err(RpcError::from)?;
         let (reply, answer) = oneshot::channel();
-        let add = AddState { state, reply };
+        let add = AddState { state, client: Client::current().share_name(), reply };
         let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
         answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
         let view = handle.view();

@@ -7,26 +7,36 @@
 use std::sync::Arc;
 
 use tidemap_proto::v1::{self, observation_service_server::ObservationService};
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 use tracing::debug;
 
 use super::{RpcReply, permits::Permits, status::RpcError};
-use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, peers::Peers, telemetry::traces::Span};
+use crate::{
+    access::Caller,
+    catalog::Catalog,
+    ingest::intake::IntakeLimits,
+    peers::Peers,
+    shares::{Shares, client::Client, waited::WaitedShare},
+    telemetry::traces::Span,
+};
 
+mod acknowledgements;
 mod channel;
 mod classify;
 mod memory;
 pub(crate) mod open_streams;
 mod opening;
 mod report;
+mod session;
 mod stream;
 
 use channel::{READ_WITHIN, Requests};
 use open_streams::OpenStreams;
 pub(super) use opening::HELLO_WITHIN;
 use opening::open_and_serve;
+pub(super) use report::SentAs;
 
 /// Replies that wait for the client.
 const REPLIES_AHEAD: usize = 16;
@@ -50,9 +60,9 @@ pub(crate) struct Observations {
     pub peers: Option<Arc<dyn Peers>>,
     pub limits: StreamLimits,
     /// Room for all streams together, in bytes.
-    pub buffers: Arc<Semaphore>,
-    /// Room for the tables of tiles and the unfinished scans of all streams together, in units of 1 KiB.
-    pub tables: Arc<Semaphore>,
+    pub buffers: WaitedShare,
+    /// What clients share.
+    pub shares: Shares,
     /// Leave to classify.
     pub(super) permits: Permits,
     /// The open streams.
@@ -77,7 +87,7 @@ impl ObservationService for Observations {
     }
 
     async fn report(&self, request: Request<v1::ReportRequest>) -> RpcReply<v1::ReportResponse> {
-        Ok(Response::new(self.take_report(request.into_inner()).await?))
+        Ok(Response::new(self.take_readings(request.into_inner()).await?))
     }
 }
 
@@ -87,7 +97,7 @@ impl Observations {
         &self,
         mut requests: impl Requests + 'static,
     ) -> Result<mpsc::Receiver<Result<v1::ObserveResponse, Status>>, RpcError> {
-        let mut entry = self.streams.enter()?;
+        let mut entry = self.streams.enter(&Client::current())?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let service = self.clone();
         crate::task::spawn(Span::current().scope(Caller::current().scope(async move {

@@ -175,7 +175,7 @@ pub(super) async fn run_blocking<T: Send + 'static>(
         let _permit = permit;
         work()
     };
-    crate::task::blocking(work).await.map_err(|_| RpcError::Stopping)
+    Ok(crate::task::blocking(work).await?)
 }
 
 /// Runs work on a blocking thread, which keeps the permit until the work is done. It is told to stop `within` a time of

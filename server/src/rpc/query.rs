@@ -15,7 +15,7 @@ use super::{
     status::RpcError,
     training::ModelTrainer,
 };
-use crate::catalog::Catalog;
+use crate::{catalog::Catalog, shares::Shares};
 
 mod anomalies;
 mod cell_alarms;
@@ -69,15 +69,17 @@ pub(crate) struct QueryLimits {
     pub trained_models: usize,
     /// Readings that a model is trained on.
     pub training_readings: u64,
-    /// Watches at once.
-    pub watches: usize,
 }
 
 impl Queries {
-    /// Answers within these limits.
-    pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
-        let trainer =
-            Arc::new(ModelTrainer::new(Arc::clone(&catalog), limits.trained_models, limits.training_readings));
+    /// Answers within these limits; evaluations and watches take of these shares.
+    pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits, shares: Shares) -> Self {
+        let trainer = Arc::new(ModelTrainer::new(
+            Arc::clone(&catalog),
+            limits.trained_models,
+            limits.training_readings,
+            shares.clone(),
+        ));
         let (max_predictions, max_batch) = (limits.predictions, limits.batch);
         Self {
             catalog,
@@ -87,7 +89,7 @@ impl Queries {
             large_permits: Permits::new((processors() / 2).max(1)).beginning_within(LARGE_WITHIN),
             past_permits: Permits::default(),
             trainer,
-            watches: Watches::new(limits.watches),
+            watches: Watches::new(shares),
         }
     }
 

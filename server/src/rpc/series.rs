@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     ingest::handle::MapHandle,
-    model_cache::{CachedModel, ModelUnavailable},
+    model_cache::{CachedModel, ModelSubject, ModelUnavailable},
     state_or_cell::StateOrCell,
 };
 
@@ -48,9 +48,8 @@ pub(super) fn check_published<'a>(
 ) -> Result<(), RpcError> {
     subjects.into_iter().try_for_each(|subject| {
         ModelUnavailable::check(subject, view, kind).map_err(|reason| RpcError::ModelUnavailable {
-            model: kind,
+            subject: ModelSubject::State { model: kind, state: subject.name(view).into_owned() },
             map: view.spec().name.as_str().to_owned(),
-            state: subject.name(view).into_owned(),
             reason,
         })
     })

@@ -14,13 +14,13 @@ use tidemap_proto::v1::{
     route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
     task_service_server::TaskServiceServer, topology_service_server::TopologyServiceServer,
 };
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{server::NamedService, service, transport::Server};
 use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
-    admission::{Admission, AdmittedService, RequestLimits},
+    admission::{Admission, AdmittedService},
     cluster::ClusterCalls,
     copies::PeerCalls,
     exploration::{Explorations, PlanLimits},
@@ -35,8 +35,13 @@ use super::{
     tasks::Tasks,
 };
 use crate::{
-    catalog::Catalog, cluster::Cluster, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits,
+    catalog::Catalog,
+    cluster::Cluster,
+    config::Settings,
+    connections::accept::Accepted,
+    ingest::intake::IntakeLimits,
     peers::SharedMaps,
+    shares::{ShareLimits, Shares, waited::WaitedShare},
 };
 
 /// Maximum size of a request without observations: 100,000 times and thousands of names fit.
@@ -124,6 +129,7 @@ pub(crate) async fn services(
     let (health, health_service) = tonic_health::server::health_reporter();
     let health = Health(health);
     health.tell(false).await;
+    let shares = Shares::new(ShareLimits::of(settings));
     let peers = shared.as_ref().map(|shared| Arc::clone(&shared.peers));
     let gateway = shared.map(|shared| ClusterGateway::new(Arc::clone(&catalog), shared, stopping.clone()));
     let observations = Observations {
@@ -142,10 +148,10 @@ pub(crate) async fn services(
             max_message_bytes: settings.max_message_bytes,
             max_stream_buffer: settings.max_stream_buffer_bytes,
         },
-        buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),
-        tables: Arc::new(Semaphore::new(settings.max_stream_tables_bytes / 1024)),
+        buffers: WaitedShare::new(settings.max_buffer_bytes, settings.max_stream_buffer_bytes),
+        shares: shares.clone(),
         permits: Permits::default(),
-        streams: OpenStreams::new(settings.max_streams, Duration::from_secs(settings.stream_idle_secs)),
+        streams: OpenStreams::new(shares.clone(), Duration::from_secs(settings.stream_idle_secs)),
         stopping,
     };
     let limits = QueryLimits {
@@ -153,9 +159,8 @@ pub(crate) async fn services(
         batch: settings.max_batch_observations,
         trained_models: settings.max_trained_models,
         training_readings: settings.max_training_readings,
-        watches: settings.max_watches,
     };
-    let queries = Arc::new(Queries::new(Arc::clone(&catalog), limits));
+    let queries = Arc::new(Queries::new(Arc::clone(&catalog), limits, shares.clone()));
     let plans = PlanLimits {
         predictions: settings.max_predictions,
         cells: settings.max_plan_cells,
@@ -170,8 +175,7 @@ pub(crate) async fn services(
         permits: Permits::new(processors().max(2)),
     };
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
-    let limits = RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client };
-    let admission = Admission::new(limits, catalog.context().cluster.as_ref().map(Cluster::secret));
+    let admission = Admission::new(shares.clone(), catalog.context().cluster.as_ref().map(Cluster::secret));
     let routes = service::Routes::default()
         .add_service(health_service)
         .add_service(
@@ -195,8 +199,13 @@ pub(crate) async fn services(
         )
         .add_service(PeerServiceServer::new(PeerCalls::new(Arc::clone(&catalog))).max_decoding_message_size(4096))
         .add_service(
-            MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone(), page })
-                .max_decoding_message_size(REQUEST_BYTES),
+            MaintenanceServiceServer::new(Maintenance {
+                catalog,
+                backup_dir: settings.backup_dir.clone(),
+                page,
+                shares,
+            })
+            .max_decoding_message_size(REQUEST_BYTES),
         );
     Services { routes, queries, admission, health, gateway }
 }

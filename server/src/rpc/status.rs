@@ -6,7 +6,7 @@ use std::{collections::HashMap, time::Duration};
 
 use tidemap_grid::{sensors::InvalidSensor, tile::TileUnavailable};
 use tidemap_map::{event::StateShape, no_go::NoGoError, site::InvalidEdit, task::TaskError};
-use tidemap_model::{EarlyStop, selector::ModelKind};
+use tidemap_model::EarlyStop;
 use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, BackupError, HistoryError};
 use tonic::{Code, Status};
@@ -20,10 +20,12 @@ use crate::{
     ingest::{
         ending::{Ending, is_fatal},
         intake::IntakeError,
-        protocol::{AddStateError, EditSiteError, HelloError},
+        protocol::{AddStateError, EditSiteError, ForgetError, HelloError},
         role::NotWriter,
     },
-    model_cache::ModelUnavailable,
+    model_cache::{ModelSubject, ModelUnavailable},
+    shares::ShareFull,
+    task::NoResult,
 };
 
 mod gateway_error;
@@ -40,6 +42,10 @@ use route_error::{landmark_refusal, refusal_of};
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
+/// When a request for which all places were taken may find one.
+const RETRY_SOON: Duration = Duration::from_millis(100);
+/// When one that waited for a place in vain may find one.
+const RETRY_LATER: Duration = Duration::from_secs(1);
 const NO_HELLO: &str = "no Hello within 10 seconds";
 /// Characters of a message that are kept of its beginning and of its end, which says what to do.
 const HEAD_CHARS: usize = 1200;
@@ -72,10 +78,8 @@ pub(crate) enum RpcError {
     Tile(#[from] TileUnavailable),
     #[error("map {map:?} keeps no history of {what}: create it with {option}, such as 90d or forever")]
     NoHistory { map: String, what: &'static str, option: &'static str },
-    #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
-    ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
-    #[error("flow of {state:?} by {motion_state:?} in map {map:?}: {reason}")]
-    FlowUnavailable { map: String, state: String, motion_state: String, reason: ModelUnavailable },
+    #[error("{subject} in map {map:?}: {reason}")]
+    ModelUnavailable { subject: ModelSubject, map: String, reason: ModelUnavailable },
     #[error("{name} of map {map:?}: observations before {} are no longer kept", shown_time(*.kept_from_nanos))]
     BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
     #[error(transparent)]
@@ -105,6 +109,8 @@ pub(crate) enum RpcError {
     #[error(transparent)]
     AddState(#[from] AddStateError),
     #[error(transparent)]
+    Forget(#[from] ForgetError),
+    #[error(transparent)]
     EditSite(#[from] EditSiteError),
     #[error(transparent)]
     Plan(#[from] PlanError),
@@ -127,8 +133,8 @@ pub(crate) enum RpcError {
         .wait.as_millis()
     )]
     Overloaded { waiting: usize, wait: Duration },
-    #[error("{max} are under way, which is the maximum of {bound}: try again when some have ended")]
-    TooManyRequests { max: usize, bound: &'static str },
+    #[error(transparent)]
+    Share(#[from] ShareFull),
     #[error("the request, or more of it, did not arrive within {secs} seconds")]
     Late { secs: u64 },
     #[error("the stream's replies were not read for {0} seconds")]
@@ -140,6 +146,11 @@ pub(crate) enum RpcError {
          stream_idle_secs): connect again to send more", .0.as_secs()
     )]
     Idle(Duration),
+    #[error(
+        "all places of streams are in use (setting max_streams), and this map had most of them: the stream made room for \
+         one of another map. Connect again when some have ended"
+    )]
+    Crowded,
     /// Nobody hears it.
     #[error(transparent)]
     Left(#[from] EarlyStop),
@@ -266,6 +277,12 @@ pub(crate) fn code_name(code: Code) -> &'static str {
     }
 }
 
+impl From<NoResult> for RpcError {
+    fn from(_: NoResult) -> Self {
+        Self::Stopping
+    }
+}
+
 impl RpcError {
     pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
@@ -306,7 +323,7 @@ impl RpcError {
             Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
-            Self::ModelUnavailable { reason, .. } | Self::FlowUnavailable { reason, .. } => match reason {
+            Self::ModelUnavailable { reason, .. } => match reason {
                 ModelUnavailable::NotKept { .. } | ModelUnavailable::Forgotten => {
                     (Code::FailedPrecondition, "NO_HISTORY")
                 }
@@ -350,10 +367,18 @@ impl RpcError {
                 | AddStateError::OtherSensor { .. }
                 | AddStateError::OtherLabels { .. }
                 | AddStateError::OtherReporting { .. } => (Code::AlreadyExists, "STATE_EXISTS"),
-                AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                AddStateError::NoRoom(_) => (Code::ResourceExhausted, "LIMIT"),
                 AddStateError::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
                 AddStateError::Storage(error) => append_code(error),
                 AddStateError::Closing => (Code::Unavailable, "STOPPING"),
+            },
+            Self::Forget(error) => match error {
+                ForgetError::Unknown { .. } => (Code::NotFound, "UNKNOWN_PRODUCER"),
+                ForgetError::Streaming { .. } => (Code::FailedPrecondition, "STREAMING"),
+                ForgetError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                ForgetError::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
+                ForgetError::Storage(error) => append_code(error),
+                ForgetError::Closing => (Code::Unavailable, "STOPPING"),
             },
             Self::EditSite(error) => match error {
                 EditSiteError::Invalid(InvalidEdit::UnknownLocation(_)) => (Code::NotFound, "UNKNOWN_LOCATION"),
@@ -378,7 +403,10 @@ impl RpcError {
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming { .. } => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
-                HelloError::TooManyProducers { .. } => (Code::ResourceExhausted, "LIMIT"),
+                HelloError::TooManyProducers { .. } | HelloError::TooManyOfClient { .. } => {
+                    (Code::ResourceExhausted, "LIMIT")
+                }
+                HelloError::Forgotten { .. } => (Code::Aborted, "FORGOTTEN"),
                 HelloError::Sensor(InvalidSensor::Range(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
                 HelloError::Sensor(InvalidSensor::TooMany) => (Code::ResourceExhausted, "LIMIT"),
                 HelloError::Sensor(InvalidSensor::Own { .. }) => (Code::FailedPrecondition, "SENSOR"),
@@ -399,11 +427,13 @@ impl RpcError {
                 Ending::Forked { .. } => (Code::Unavailable, "FORKED"),
                 Ending::Storage(error) => append_code(error),
             },
-            Self::TooManyRequests { .. } => (Code::ResourceExhausted, "LIMIT"),
+            Self::Share(_) => (Code::ResourceExhausted, "LIMIT"),
             Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
             Self::Idle(_) => (Code::Unavailable, "IDLE"),
+            // Clients connect again by themselves.
+            Self::Crowded => (Code::Unavailable, "LIMIT"),
             Self::Left(_) => (Code::Cancelled, "LEFT"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),
@@ -423,6 +453,28 @@ impl RpcError {
     /// The message. A request may have names and values of any length; such a message is cut in its middle.
     pub(crate) fn message(&self) -> String {
         shortened(self.to_string())
+    }
+}
+
+/// When a request that found no room may be sent again; `None`: the same request is refused again.
+fn retry_after(error: &RpcError) -> Option<Duration> {
+    match error {
+        RpcError::Share(full) if full.share.ends_soon() => Some(RETRY_SOON),
+        RpcError::Overloaded { wait, .. } => Some(*wait),
+        RpcError::Busy { .. } => Some(RETRY_LATER),
+        _ => None,
+    }
+}
+
+impl From<NoResult> for Status {
+    fn from(error: NoResult) -> Self {
+        RpcError::from(error).into()
+    }
+}
+
+impl From<ShareFull> for Status {
+    fn from(full: ShareFull) -> Self {
+        RpcError::from(full).into()
     }
 }
 
@@ -454,6 +506,7 @@ impl From<RpcError> for Status {
             RpcError::Limit(limit) | RpcError::Intake(IntakeError::Limit(limit)) => {
                 details.add_quota_failure_violation(limit.what, error.message());
             }
+            RpcError::Share(full) => _ = details.add_quota_failure_violation(full.name, error.message()),
             RpcError::History(HistoryError::Missing { from_nanos, to_nanos, .. }) => {
                 metadata.insert("from_nanos".to_owned(), from_nanos.to_string());
                 metadata.insert("to_nanos".to_owned(), to_nanos.to_string());
@@ -467,6 +520,9 @@ impl From<RpcError> for Status {
                 metadata.insert("last".to_owned(), last.to_string());
             }
             _ => {}
+        }
+        if let Some(wait) = retry_after(&error) {
+            details.set_retry_info(Some(wait));
         }
         details.set_error_info(reason, DOMAIN, metadata);
         Status::with_error_details(code, error.message(), details)

@@ -11,12 +11,14 @@ use tidemap_map::{
 use tidemap_proto::{
     convert::{
         exploration::day_from_wire,
+        observe::{StreamMessage, start_of_run},
+        reports::{ReportMessage, SentReport},
         task::{
-            hours_from_wire, plan_question_from_wire, plan_to_wire, run_from_wire, run_to_traversal, task_from_wire,
-            task_name_from_wire, task_to_wire, week_to_wire,
+            hours_from_wire, plan_question_from_wire, plan_to_wire, run_from_wire, task_from_wire, task_name_from_wire,
+            task_to_wire, week_to_wire,
         },
     },
-    v1::{self, observe_request::Message as Up, task_service_server::TaskService},
+    v1::{self, task_service_server::TaskService},
 };
 use tonic::{Request, Response};
 
@@ -25,7 +27,7 @@ use super::{
     exploration::Explorations,
     lookup::find_map,
     map::edit_site,
-    observation::Observations,
+    observation::{Observations, SentAs},
     permits::{Permits, run_blocking},
     status::{PlanError, RpcError},
 };
@@ -104,14 +106,16 @@ impl TaskService for Tasks {
         let run = run_from_wire(&request, self.now_nanos()).map_err(RpcError::from)?;
         // Without an end, it is the time of the request, which differs when the request is sent again.
         let once = request.end_time.is_none().then_some(1);
-        let v1::ReportTaskRequest { map, producer, label, sequence, .. } = request;
-        let hello = v1::Hello { producer, label, map, ..v1::Hello::default() };
-        let traversals = vec![run_to_traversal(&run)];
-        let batch =
-            |first_sequence| Up::Traversals(v1::TraversalBatch { first_sequence, traversals: traversals.clone() });
-        let v1::ReportResponse { durable_sequence, refused } =
-            self.observations.report_within(&hello, sequence, once, &batch).await?;
-        Ok(Response::new(v1::ReportTaskResponse { durable_sequence, refused }))
+        let sent_as = SentAs {
+            start: start_of_run(&request).map_err(RpcError::from)?,
+            map: request.map,
+            first_sequence: request.sequence,
+            may_differ: once,
+        };
+        let items = |first| Ok(StreamMessage::Reports(ReportMessage::new(first, vec![SentReport::of_run(run)])?));
+        let taken = self.observations.take_items(sent_as, items).await?;
+        let durable_sequence = taken.durable_sequence;
+        Ok(Response::new(v1::ReportTaskResponse { durable_sequence, refused: taken.refused_to_wire() }))
     }
 
     async fn list_task_weeks(&self, request: Request<v1::ListTaskWeeksRequest>) -> RpcReply<v1::ListTaskWeeksResponse> {

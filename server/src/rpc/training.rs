@@ -34,21 +34,22 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, models::FlowModel, selector::ModelKind};
-use tidemap_proto::convert::OverLimit;
-use tokio::sync::{OnceCell, OwnedSemaphorePermit};
+use tokio::sync::OnceCell;
 
 use super::readings::{ReadingsQuery, gather, not_replaced, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
     model_cache::{
-        CachedModel, FlowKey, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop,
+        CachedModel, FlowKey, ModelCache, ModelKey, ModelSubject, ModelUnavailable, PlaceModel, PositionModel,
+        TrainingStop,
     },
     rpc::{
         lookup::check_limit,
         permits::{Permits, processors, run_blocking, run_while_awaited},
         status::RpcError,
     },
+    shares::{Share, ShareFull, Shares, Taken, client::Client},
     state_or_cell::StateOrCell,
 };
 
@@ -62,13 +63,13 @@ const FLOWS_MAX: usize = 8;
 #[derive(Debug)]
 pub(super) struct ModelTrainer {
     catalog: Arc<Catalog>,
-    models: ModelCache,
+    models: Arc<ModelCache>,
     /// The cache of models of positions.
-    positions: ModelCache<PositionModel>,
+    positions: Arc<ModelCache<PositionModel>>,
     /// The cache of models of states by place.
-    places: ModelCache<PlaceModel>,
+    places: Arc<ModelCache<PlaceModel>>,
     /// The cache of flows.
-    flows: ModelCache<FlowModel, FlowKey>,
+    flows: Arc<ModelCache<FlowModel, FlowKey>>,
     /// Permits to gather readings and to train, separate from those to predict.
     permits: Permits,
     /// Permits for models whose training may take seconds, so that others do not wait for them.
@@ -76,6 +77,7 @@ pub(super) struct ModelTrainer {
     /// Permits to train several models of a state: the holder keeps the readings from the first to the last model.
     comparing_permits: Permits,
     max_readings: u64,
+    shares: Shares,
 }
 
 /// A state or cell of one view, and the readings that the view's updates have learned, after they are gathered.
@@ -110,32 +112,39 @@ impl LearnedState {
         }
     }
 
+    /// What identifies a model of it. `place`: of a model by place, the first axis of the place.
+    fn key(&self, kind: ModelKind, place: Option<StateId>) -> ModelKey {
+        let (map, handle, generation) = (self.handle.id, self.handle.number, self.view.generation());
+        ModelKey { map, handle, generation, subject: self.target.subject(), kind, place }
+    }
+
     fn unavailable(&self, model: ModelKind, reason: impl Into<ModelUnavailable>) -> RpcError {
         RpcError::ModelUnavailable {
-            model,
+            subject: ModelSubject::State { model, state: self.target.name(&self.view).into_owned() },
             map: self.handle.spec.name.as_str().to_owned(),
-            state: self.target.name(&self.view).into_owned(),
             reason: reason.into(),
         }
     }
 }
 
 impl ModelTrainer {
-    /// Limits the cache to `max_trained` models, and a training to `max_readings` readings.
-    pub(super) fn new(catalog: Arc<Catalog>, max_trained: usize, max_readings: u64) -> Self {
+    /// Limits the caches to `max_trained` models, and a training to `max_readings` readings. What requests hold is
+    /// taken of these shares.
+    pub(super) fn new(catalog: Arc<Catalog>, max_trained: usize, max_readings: u64, shares: Shares) -> Self {
         // The other half of the processors stays free.
         let slow_permits = Permits::new((processors() / 2).max(1));
         let (permits, comparing_permits) = (Permits::default(), Permits::default());
         Self {
             catalog,
-            models: ModelCache::new(max_trained),
-            positions: ModelCache::new(max_trained),
-            places: ModelCache::new(max_trained),
-            flows: ModelCache::new(max_trained.min(FLOWS_MAX)),
+            models: Arc::new(ModelCache::new(max_trained)),
+            positions: Arc::new(ModelCache::new(max_trained)),
+            places: Arc::new(ModelCache::new(max_trained)),
+            flows: Arc::new(ModelCache::new(max_trained.min(FLOWS_MAX))),
             permits,
             slow_permits,
             comparing_permits,
             max_readings,
+            shares,
         }
     }
 
@@ -174,24 +183,12 @@ impl ModelTrainer {
         kind: ModelKind,
     ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
-        let (map, handle) = (learned.handle.id, learned.handle.number);
-        let (generation, subject) = (learned.view.generation(), learned.target.subject());
-        let key = ModelKey { map, handle, generation, subject, kind, place: None };
-        if let Some(trained) = self.models.get(&key) {
-            return Ok(trained);
-        }
+        let key = learned.key(kind, None);
         if learned.observations() == 0 {
             return Ok(Arc::new(CachedModel::Unlearned));
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
-        let interest = self.models.interest(key);
-        let stop = Arc::new(interest.training_stop());
-        // A task of its own: if this request is dropped, others may wait for the same model.
-        let task =
-            crate::task::spawn(async move { this.models.get_or_train(key, this.train(&learned, kind, stop)).await });
-        let trained = task.await.map_err(|_| RpcError::Stopping)?;
-        drop(interest);
-        trained
+        self.models.train_once(key, move |stop| async move { this.train(&learned, kind, stop).await }).await
     }
 
     /// What the observations of states stand for within an interval, learned or pending: a list per state, ascending by
@@ -239,16 +236,12 @@ impl ModelTrainer {
         Ok(found)
     }
 
-    /// Reserves capacity for `models` models for the duration of a request.
+    /// Room for the models that a request holds, none yet.
     ///
     /// # Errors
-    /// [`RpcError::Limit`] if all requests together would hold more than the cache may.
-    pub(super) fn reserve(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
-        self.models.reserve(models).ok_or_else(|| {
-            let (what, setting) = ("trained models that evaluations hold", "setting max_trained_models");
-            let got = Some(self.models.reserved().saturating_add(models) as u64);
-            OverLimit { what, got, max: self.models.max() as u64, setting }.into()
-        })
+    /// [`RpcError::Share`] if all requests together, or those of the client, would hold too many.
+    pub(super) fn reserve(&self) -> Result<Taken, ShareFull> {
+        self.shares.take(Share::TrainedModels, &Client::current(), 0)
     }
 
     /// Checks what is known without reading any observation.
@@ -317,7 +310,7 @@ impl ModelTrainer {
                 None => learned.samples_of(kind, readings, max),
             }
         };
-        crate::task::blocking(gather).await.map_err(|_| RpcError::Stopping)?
+        crate::task::blocking(gather).await?
     }
 }
 

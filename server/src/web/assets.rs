@@ -1,15 +1,21 @@
 //! The files of the page, as they are built in.
 //!
-//! Invariant: the daemon needs no file beside itself. What is served is what `client/web` was built to.
+//! Invariant: the daemon needs no file beside itself. What is served is what `client/web` was built to. Each file is
+//! unpacked once, on no thread that answers others, and all readers share its bytes.
+
+use std::sync::LazyLock;
 
 use axum::{
     Router,
-    body::Body,
+    body::{Body, Bytes},
     extract::Request,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::Response,
     routing::get,
 };
+use tokio::sync::OnceCell;
+
+use crate::{connections::unread::SharedContent, task::NoResult};
 
 /// A file of the page.
 struct Asset {
@@ -41,11 +47,15 @@ fn content_type(path: &str) -> &'static str {
     }
 }
 
-fn find(path: &str) -> Option<&'static Asset> {
-    ASSETS.iter().find(|asset| asset.path == path)
+/// The content of each file for those who do not take gzip, from the first time that one of them asks.
+static PLAIN: LazyLock<Vec<OnceCell<Bytes>>> = LazyLock::new(|| ASSETS.iter().map(|_| OnceCell::new()).collect());
+
+/// The number of a file.
+fn find(path: &str) -> Option<usize> {
+    ASSETS.iter().position(|asset| asset.path == path)
 }
 
-fn accepts_gzip(headers: &HeaderMap) -> bool {
+pub(super) fn accepts_gzip(headers: &HeaderMap) -> bool {
     let accepted = headers.get(header::ACCEPT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or("");
     accepted.split(',').any(|coding| {
         let mut parts = coding.split(';').map(str::trim);
@@ -61,7 +71,14 @@ fn unpacked(gzip: &[u8]) -> Vec<u8> {
     plain
 }
 
-fn answer(asset: &'static Asset, headers: &HeaderMap) -> Response {
+/// The content of a file, not compressed.
+async fn plain(number: usize) -> Result<Bytes, NoResult> {
+    let unpack = async || crate::task::blocking(move || Bytes::from(unpacked(ASSETS[number].gzip))).await;
+    PLAIN[number].get_or_try_init(unpack).await.cloned()
+}
+
+async fn answer(number: usize, headers: &HeaderMap) -> Response {
+    let asset = &ASSETS[number];
     let mut response = Response::new(Body::empty());
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_static(asset.tag));
@@ -82,22 +99,29 @@ fn answer(asset: &'static Asset, headers: &HeaderMap) -> Response {
         out.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
         *response.body_mut() = Body::from(asset.gzip);
     } else {
-        *response.body_mut() = Body::from(unpacked(asset.gzip));
+        match plain(number).await {
+            Ok(content) => *response.body_mut() = Body::from(content),
+            Err(_) => *response.status_mut() = StatusCode::INTERNAL_SERVER_ERROR,
+        }
     }
+    response.extensions_mut().insert(SharedContent);
     response
 }
 
 async fn asset(request: Request) -> Response {
     let path = request.uri().path().trim_start_matches('/');
     match find(path) {
-        Some(asset) => answer(asset, request.headers()),
+        Some(number) => answer(number, request.headers()).await,
         None => missing(),
     }
 }
 
 /// The page itself; it reads its path by itself.
 async fn page(request: Request) -> Response {
-    find(INDEX).map_or_else(missing, |asset| answer(asset, request.headers()))
+    match find(INDEX) {
+        Some(number) => answer(number, request.headers()).await,
+        None => missing(),
+    }
 }
 
 fn missing() -> Response {
@@ -135,6 +159,15 @@ mod tests {
         for asset in ASSETS {
             assert!(!unpacked(asset.gzip).is_empty(), "{}", asset.path);
             assert!(asset.tag.starts_with('"') && asset.tag.ends_with('"'));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_file_is_unpacked_once() {
+        for (number, asset) in ASSETS.iter().enumerate() {
+            let first = plain(number).await.expect("the content");
+            assert_eq!(first, unpacked(asset.gzip));
+            assert_eq!(first.as_ptr(), plain(number).await.expect("the content").as_ptr());
         }
     }
 

@@ -17,8 +17,8 @@ use tidemap_proto::{
         topology::topology_from_wire,
     },
     v1::{
-        self, route_service_client::RouteServiceClient, search_service_client::SearchServiceClient,
-        topology_service_client::TopologyServiceClient,
+        self, map_service_client::MapServiceClient, route_service_client::RouteServiceClient,
+        search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
     },
 };
 use tonic::{Code, Status};
@@ -90,6 +90,17 @@ impl Calls<'_> {
         let question = v1::GetTopologyRequest { map: self.map.to_owned() };
         let reply = client.get_topology(self.caller.request(question)).await?.into_inner();
         converted(move || topology_from_wire(&reply)).await
+    }
+
+    /// Whether the clocks of the producers of the map are real.
+    ///
+    /// # Errors
+    /// The RPC refused or failed.
+    pub(super) async fn has_real_clock(&self) -> Result<bool, Status> {
+        let mut client = MapServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
+        let question = v1::GetMapRequest { name: self.map.to_owned() };
+        let reply = client.get_map(self.caller.request(question)).await?.into_inner();
+        Ok(reply.map.is_some_and(|map| map.real_clock))
     }
 
     /// What is predicted of the edges for a robot that enters them at a time, nanoseconds UTC.

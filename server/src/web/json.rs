@@ -3,7 +3,7 @@
 //! Invariant: messages are read and written by their descriptors alone, so each RPC that does not stream requests is
 //! here as it is on the wire. A stream of replies is one object a line (NDJSON); an error inside it is its last line.
 //! Nothing of a request is read before it is admitted, and no message but the smallest is converted on a thread that
-//! answers others.
+//! answers others. A number that would be a time before 1990 reaches no map with a real clock.
 
 use axum::{
     body::{Body, Bytes},
@@ -14,14 +14,21 @@ use axum::{
 use prost::Message as _;
 use prost_reflect::{DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions};
 use serde_json::{Value, json};
-use tidemap_proto::bytes_codec::BytesCodec;
+use tidemap_proto::{bytes_codec::BytesCodec, map_of::map_of};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_stream::StreamExt as _;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 use tonic_types::StatusExt as _;
 
-use super::Gateway;
-use crate::rpc::{admission::Admitted, status::code_name};
+use super::{
+    Gateway,
+    calls::{Caller, Calls},
+    times::{self, Early, ReadRequest},
+};
+use crate::{
+    ingest::intake::early::refusal,
+    rpc::{admission::Admitted, status::code_name},
+};
 
 /// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.
 const REQUEST_BYTES: usize = 1 << 20;
@@ -105,15 +112,16 @@ fn is_json(headers: &HeaderMap) -> bool {
     media_type.split(';').next().is_some_and(|media| media.trim().eq_ignore_ascii_case("application/json"))
 }
 
-/// A request as it is on the wire.
-fn parse(text: &[u8], input: MessageDescriptor) -> Result<Bytes, serde_json::Error> {
+/// A request as it is on the wire, and the first number of it that is an early time.
+fn parse(text: &[u8], input: MessageDescriptor) -> Result<(Bytes, Option<Early>), String> {
     // No text at all is a request without fields.
     let text = if text.trim_ascii().is_empty() { b"{}" } else { text };
-    let mut json = serde_json::Deserializer::from_slice(text);
+    let ReadRequest { text, early } = times::read(text, &input)?;
+    let mut json = serde_json::Deserializer::from_slice(&text);
     let options = DeserializeOptions::new().deny_unknown_fields(true);
-    let message = DynamicMessage::deserialize_with_options(input, &mut json, &options)?;
-    json.end()?;
-    Ok(message.encode_to_vec().into())
+    let message = DynamicMessage::deserialize_with_options(input, &mut json, &options);
+    let message = message.and_then(|message| json.end().map(|()| message)).map_err(|error| error.to_string())?;
+    Ok((message.encode_to_vec().into(), early))
 }
 
 /// A message as one line. Fields with their defaults are there as well: a probability of 0 is a statement.
@@ -155,7 +163,12 @@ impl Gateway {
     }
 
     /// The message of a request that was admitted, as it is on the wire.
-    async fn read(&self, admitted: &Admitted, body: Body, input: MessageDescriptor) -> Result<Bytes, Box<Response>> {
+    async fn read(
+        &self,
+        admitted: &Admitted,
+        body: Body,
+        input: MessageDescriptor,
+    ) -> Result<(Bytes, Option<Early>), Box<Response>> {
         let refused = |status: Status| {
             let mut response = status_reply(&status);
             if status.code() == Code::DeadlineExceeded {
@@ -181,7 +194,19 @@ impl Gateway {
         let turn = self.turn(bytes).await;
         let work = move || (parse(&text, input), held, place, turn);
         let (message, ..) = convert(bytes, work).await.map_err(refused)?;
-        message.map_err(|error| Box::new(invalid(&error.to_string())))
+        message.map_err(|error| Box::new(invalid(&error)))
+    }
+
+    /// The refusal of an early time of a map whose clock is real. Where that cannot be asked, the call itself is
+    /// refused.
+    async fn refused_time(&self, early: &Early, (path, message): (&str, &[u8]), caller: &Caller) -> Option<Response> {
+        let map = map_of(path, message)?;
+        let calls = Calls { services: &self.services, caller, map };
+        if !calls.has_real_clock().await.unwrap_or(false) {
+            return None;
+        }
+        let text = format!("{}: {}", early.field, refusal(early.nanos));
+        Some(failure(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "INVALID_FIELD", &text))
     }
 }
 
@@ -209,10 +234,16 @@ pub(super) async fn call(
         Ok(admitted) => admitted,
         Err(error) => return status_reply(&error.into()),
     };
-    let message = match gateway.read(&admitted, body, method.input()).await {
-        Ok(message) => message,
+    let (message, early) = match gateway.read(&admitted, body, method.input()).await {
+        Ok(read) => read,
         Err(response) => return *response,
     };
+    if let Some(early) = early {
+        let caller = Caller::of_head(&parts.headers, &parts.extensions);
+        if let Some(response) = gateway.refused_time(&early, (&path, &message), &caller).await {
+            return response;
+        }
+    }
     let mut request = tonic::Request::new(message);
     request.extensions_mut().insert(admitted);
     if let Some(remote) = parts.extensions.get::<crate::connections::Remote>() {

@@ -12,6 +12,7 @@ use serde_json::{Map, Value, json};
 use super::{
     links::{PICTURE_PARAMETERS, Parameter, TOPOLOGY_PARAMETERS},
     recordings,
+    times::form_of,
 };
 
 /// The comment before an element of a file, as one text.
@@ -75,8 +76,20 @@ fn kind(kind: &Kind) -> Value {
     }
 }
 
+/// A time of a request; replies have one form of it.
+fn time() -> Value {
+    json!({
+        "description": "RFC 3339, or nanoseconds since 1970.",
+        "anyOf": [
+            { "type": "string", "format": "date-time" },
+            { "type": "string", "format": "int64", "pattern": "^[0-9]{1,19}$" },
+        ],
+    })
+}
+
 fn field(field: &FieldDescriptor) -> Value {
     let text = comment(&field.parent_message().parent_file(), field.path());
+    let kind = |element: &Kind| if form_of(field).is_some() { time() } else { kind(element) };
     let schema = match (field.cardinality(), field.kind()) {
         (Cardinality::Repeated, Kind::Message(entry)) if field.is_map() => {
             json!({ "type": "object", "additionalProperties": kind(&entry.map_entry_value_field().kind()) })
@@ -268,7 +281,8 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
         "info": {
             "title": "tidemap",
             "version": env!("CARGO_PKG_VERSION"),
-            "description": "The RPCs of tidemap.v1 as JSON. 64-bit integers are strings, times are RFC 3339.",
+            "description": "The RPCs of tidemap.v1 as JSON. 64-bit integers are strings. Times are RFC 3339 \
+                            or nanoseconds since 1970; replies have RFC 3339 for single times, and nanoseconds for rows.",
         },
         "tags": tags,
         "paths": paths,

@@ -1,8 +1,9 @@
 //! Recordings that browsers and scripts send: `POST /api/v1/maps/NAME/recordings/FILE` imports a file into a map.
 //!
-//! Invariant: nothing of a file is read before its sender may observe the map, and create it if it does not exist. One
-//! file at a time is taken, never whole in memory, and it is gone when its import has ended. The daemon does not look
-//! into it: the program `tidemap` does, in a process of its own that is stopped when nobody waits for it.
+//! Invariant: nothing of a file is read before its sender may observe the map, and create it if it does not exist. A
+//! file is taken when its sender and its map have a turn, is never whole in memory, and is gone when its import has
+//! ended. The daemon does not look into it, and unpacks nothing of it: the program `tidemap` does, in a process of its
+//! own that is stopped when nobody waits for it, and when its sender's token is no longer valid.
 
 use std::{path::PathBuf, sync::Arc};
 
@@ -17,7 +18,7 @@ use axum::{
 use serde_json::json;
 use tidemap_map::name::{MapName, ProducerKey};
 use tidemap_proto::v1::{GetMapRequest, map_service_client::MapServiceClient};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::sync::watch;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
 
@@ -29,19 +30,25 @@ use super::{
 use crate::{
     access::table::{CREATE_MAP, OBSERVE},
     config::Settings,
+    connections::{Peer, Remote},
     rpc::{
         admission::Admitted,
         guard::Access,
         lookup::check_sender,
         serve::{GuardedServices, Services},
+        status::RpcError,
     },
 };
 
 mod import;
+mod memory;
+mod survivors;
+mod turns;
 mod upload_error;
 mod workplace;
 
 use import::{Import, Origin};
+use turns::{Turn, Turns};
 use upload_error::UploadError;
 use workplace::{Workplace, check_room, file_name};
 
@@ -69,7 +76,7 @@ pub(super) const PARAMETERS: &[Parameter; 2] = &[
     },
 ];
 
-/// What takes recordings. Clones share their turn.
+/// What takes recordings. Clones share their turns.
 #[derive(Clone)]
 pub(crate) struct Recordings(Arc<Inner>);
 
@@ -77,7 +84,7 @@ struct Inner {
     folder: PathBuf,
     /// Maximum size of a file; 0: none is taken.
     max_bytes: u64,
-    turn: Arc<Semaphore>,
+    turns: Turns,
     services: Services,
     access: Access,
     /// The services for callers of this port.
@@ -86,7 +93,8 @@ struct Inner {
 }
 
 impl Recordings {
-    /// Takes recordings of callers with this access, and removes what an earlier daemon left of them.
+    /// Takes recordings of callers with this access, and removes what an earlier daemon left of them: files, and
+    /// programs that read them.
     ///
     /// # Errors
     /// What was left cannot be removed.
@@ -97,11 +105,12 @@ impl Recordings {
         stopping: watch::Receiver<bool>,
     ) -> anyhow::Result<Self> {
         let folder = settings.data_dir.join(FOLDER);
+        survivors::end_all(&folder)?;
         workplace::empty(&folder)?;
         Ok(Self(Arc::new(Inner {
             folder,
             max_bytes: settings.max_upload_bytes,
-            turn: Arc::new(Semaphore::new(1)),
+            turns: Turns::default(),
             services: services.clone(),
             guarded: services.guarded(access.clone()),
             access,
@@ -122,7 +131,7 @@ struct Upload {
     map_exists: bool,
     file: String,
     key: ProducerKey,
-    turn: OwnedSemaphorePermit,
+    turn: Turn,
     /// Counts the request while it is worked on.
     admitted: Admitted,
 }
@@ -145,7 +154,8 @@ impl Inner {
         if bytes > self.max_bytes {
             return Err(UploadError::TooLarge { max: self.max_bytes });
         }
-        let turn = Arc::clone(&self.turn).try_acquire_owned().map_err(|_| UploadError::Busy)?;
+        let peer = head.extensions.get::<Remote>().map_or(Peer::Local, Remote::peer);
+        let turn = self.turns.take(&map, peer, admitted.caller().token_id())?;
         check_room(&self.folder, bytes)?;
         Ok(Upload { program, map, map_exists, file, key, turn, admitted })
     }
@@ -228,17 +238,21 @@ async fn import(inner: &Inner, names: (String, String), request: Request) -> Res
     let bytes = http_body::Body::size_hint(&body).lower();
     let upload = inner.admit(names, &head, bytes).await?;
     let token = token(&head.headers).filter(|_| matches!(inner.access, Access::Tokens(_)));
-    let place = Workplace::make(inner.folder.clone(), &upload.file, upload.turn).await?;
+    let place = Workplace::make(&inner.folder, &upload.file, upload.turn).await?;
     let mut stopping = inner.stopping.clone();
     let received = tokio::select! {
         received = place.receive(body, inner.max_bytes) => received,
+        () = inner.access.clone().revoked(upload.admitted.caller().clone()) => Err(RpcError::Revoked.into()),
         _ = stopping.wait_for(|stopping| *stopping) => Err(UploadError::Stopping),
     };
-    if let Err(refusal) = received {
-        place.clear().await;
-        return Err(refusal);
-    }
+    let bytes = match received {
+        Ok(bytes) => bytes,
+        Err(refusal) => {
+            place.clear().await;
+            return Err(refusal);
+        }
+    };
     let origin = Origin { services: inner.services.clone(), access: inner.access.clone(), stopping };
-    let import = Import { program: upload.program, map: upload.map, key: upload.key, token, place, origin };
+    let import = Import { program: upload.program, map: upload.map, key: upload.key, token, bytes, place, origin };
     Ok(Body::from_stream(ReceiverStream::new(import.start(upload.admitted))))
 }

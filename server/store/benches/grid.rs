@@ -125,7 +125,7 @@ fn snapshot(events: &[Event]) -> MapSnapshot {
         map.apply(position, event).expect("fits");
     }
     let work = map.apply(position + 1, &update()).expect("fits").expect("an update");
-    let result = work.run(&Default::default()).expect("runs");
+    let result = work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs");
     map.finish_update(result)
 }
 

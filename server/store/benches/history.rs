@@ -51,7 +51,7 @@ fn main() {
     let mut map = LiveMap::new(Arc::new(spec));
     let start = map.plan_update(None, 0, UpdateCause::Request);
     let work = map.apply(1, &Event::UpdateStart(start)).expect("consistent").expect("an update");
-    let empty = map.finish_update(work.run(&Default::default()).expect("in memory"));
+    let empty = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("in memory"));
     for night in 0..NIGHTS {
         store.save(MapId(1), &MapSnapshot { history: vec![piece(night)], ..empty.clone() }).expect("saved");
     }

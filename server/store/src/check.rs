@@ -1,38 +1,44 @@
 //! Checking a data directory that no daemon uses: every record of every log, checkpoint and history file, the lists of
 //! what must exist, and the index.
 //!
-//! Invariant: a look changes nothing. A repair loses nothing: it only makes lists again where other files prove that
-//! all is there, and sets a damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost
-//! is recorded in `LOSSES` first.
+//! Invariant: a map without a finding is one that a start opens: both read it with the same code. A look changes
+//! nothing. A repair loses nothing: it only makes lists again where other files prove that all is there, and sets a
+//! damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost is recorded in `LOSSES`
+//! first.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     io,
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-use tidemap_map::spec::MapSpec;
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_migrations::{
     FORMAT, manifest,
     v1::lists::{
-        CheckpointList, FileList, HISTORY_FILE, Loss, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment, TextList,
+        CheckpointList, ERASURES_FILE, FileList, HISTORY_FILE, Loss, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment,
+        TextList,
     },
+    v3::FORKS_FOLDER,
 };
 
 use crate::{
     History, MapId,
     checkpoint::{Checkpoints, Memory},
     disk::{Disk, RealDisk},
-    error::OpenError,
+    erasure,
+    error::{OpenError, zeroed_tail},
+    failure::ReadFailure,
     folders,
+    fork::{fork_in, fork_names},
     index::{Index, RowsState, Unopened, is_present},
     list_file,
     lock::Lock,
     log::{recovery, replay::Replay, segment_path, segment_position},
     losses,
     record_file::check_total,
-    store::{catalogue, lists},
+    store::{catalogue, lists, open_map::read_map},
 };
 
 const INDEX_CACHE_BYTES: u64 = 64 << 20;
@@ -41,9 +47,13 @@ const MEMORY: Memory = Memory { tile_bytes: 64 << 20, spectrum_bytes: 64 << 20 }
 
 const FROM_BACKUP: &str = "restore this file from a backup";
 const FOLDER_FROM_BACKUP: &str = "restore the folder of this map from a backup, or delete the map";
+const ONE_OF_TWO: &str = "move the folder of one of the two maps out of the data folder";
+const BY_CUT: &str =
+    "restore the folder of this map from a backup that has more; or start the daemon, which cuts them off";
 const BY_REPAIR: &str = "run the check with --repair, which loses nothing";
 const BY_ACCEPTING: &str = "restore it from a backup of this folder; or, to go on without what is lost, run the check \
                             with --accept-loss, which records the loss";
+const BY_DISK: &str = "it may be sound: free some space, or check the disk and the permissions; nothing is lost";
 const BY_START: &str = "start the daemon, which makes it again from the checkpoints; nothing is lost";
 
 /// What a check may do.
@@ -107,20 +117,35 @@ pub struct Checked {
     pub losses: Vec<Loss>,
 }
 
+/// Makes a map of its newest snapshot and the events behind it, as a start does, or returns why that fails.
+pub type TryRestore<'a> = dyn Fn(&MapSpec, Option<MapSnapshot>, Replay) -> Result<(), String> + 'a;
+
 /// A check that is under way.
 struct Check<'a> {
     directory: &'a Path,
     disk: Arc<dyn Disk>,
     mode: Mode,
+    restore: &'a TryRestore<'a>,
     checked: Checked,
 }
 
-/// Checks a data directory that no daemon uses.
+/// What the index holds of the maps; empty where there is none, or it cannot be opened.
+type IndexedMaps = BTreeMap<MapId, Result<RowsState, ReadFailure>>;
+
+/// Checks the files of a data directory that no daemon uses.
 ///
 /// # Errors
 /// [`OpenError`] where nothing can be checked: there is no data directory, a daemon uses it, a newer version wrote it,
 /// or the record of its losses is damaged.
 pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
+    check_with(directory, mode, &|_, _, _| Ok(()))
+}
+
+/// Does what [`check`] does, and tries to restore each map that is whole.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_with(directory: &Path, mode: Mode, restore: &TryRestore<'_>) -> Result<Checked, OpenError> {
     let Some(manifest) = manifest::read(directory, FORMAT)? else {
         let reason = "there is none: this is no data directory of tidemapd".to_owned();
         return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
@@ -128,18 +153,21 @@ pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
     let lock = Lock::look(directory)?;
     let checked =
         Checked { format: manifest.format, newest_format: FORMAT, store_id: manifest.store_id, ..Checked::default() };
-    let mut check = Check { directory, disk: Arc::new(RealDisk), mode, checked };
+    let mut check = Check { directory, disk: Arc::new(RealDisk), mode, restore, checked };
     // First: without it, no loss can be recorded.
     losses::read(&RealDisk, directory)?;
     let maps = check.maps()?;
+    let (rows, index_failure) = check.read_index(&maps)?;
     let mut indexed = BTreeSet::new();
     for (map, known) in &maps {
+        let before = check.checked.findings.len();
         if check.map(*map, known) {
             indexed.insert(*map);
         }
+        check.try_open(*map, known, rows.get(map).cloned(), before);
     }
     // A backup has no index; nor has a folder that was restored from one, until a daemon has used it.
-    check.index(&maps, &indexed, lock.is_of_daemon())?;
+    check.index(&rows, index_failure, &indexed, lock.is_of_daemon());
     check.checked.losses = losses::read(&RealDisk, directory)?;
     Ok(check.checked)
 }
@@ -216,6 +244,13 @@ impl Check<'_> {
             }
         }
         self.checked.maps = (found.maps.len() + found.set_aside.len()) as u64;
+        let mut names = BTreeMap::new();
+        for (map, spec) in &found.maps {
+            if let Some(first) = names.insert(spec.name.clone(), map.0) {
+                let problem = format!("it has the same name as map number {first}");
+                self.find(&folders::map_folder(directory, *map), problem, ONE_OF_TWO);
+            }
+        }
         Ok(found.maps.into_iter().collect())
     }
 
@@ -224,7 +259,37 @@ impl Check<'_> {
         self.history(map, spec);
         let newest = self.checkpoints(map, spec);
         self.log(map, newest);
+        self.forks(map);
+        self.erasures(map);
         newest.is_some()
+    }
+
+    /// What was set aside where the logs of two daemons parted.
+    fn forks(&mut self, map: MapId) {
+        let folder = folders::map_folder(self.directory, map).join(FORKS_FOLDER);
+        let names = match fork_names(&*self.disk, &folder) {
+            Ok(names) => names,
+            Err(error) => return self.find(&folder, error.to_string(), BY_DISK),
+        };
+        for name in names {
+            self.checked.files += 1;
+            let file = folder.join(&name);
+            if let Err(error) = fork_in(&*self.disk, &folder, name) {
+                let problem = match error {
+                    OpenError::Damaged { reason, .. } => reason,
+                    other => other.to_string(),
+                };
+                self.find(&file, problem, FROM_BACKUP);
+            }
+        }
+    }
+
+    /// How often something was erased, which backups and the next erasure read.
+    fn erasures(&mut self, map: MapId) {
+        let folder = folders::map_folder(self.directory, map);
+        if let Err(error) = erasure::count(&*self.disk, &folder) {
+            self.find(&folder.join(ERASURES_FILE), error.to_string(), FROM_BACKUP);
+        }
     }
 
     fn history(&mut self, map: MapId, spec: &MapSpec) {
@@ -253,7 +318,7 @@ impl Check<'_> {
                 let problem = match check_total(&*self.disk, &path) {
                     Ok(total) if total == (file.length, file.total_crc) => continue,
                     Ok(_) => "it is another file than the list says".to_owned(),
-                    Err(problem) => problem,
+                    Err(problem) => problem.into(),
                 };
                 let disk = Arc::clone(&self.disk);
                 self.find_lost(&path, &problem, || {
@@ -355,6 +420,9 @@ impl Check<'_> {
             Err(OpenError::ListLost { .. }) => return,
             Err(error) => return self.find(&folder, error.to_string(), FOLDER_FROM_BACKUP),
         };
+        if let Some(torn) = read.torn.as_ref().filter(|torn| torn.zero_bytes > 0) {
+            self.find(&torn.file, zeroed_tail(torn.zero_bytes), BY_CUT);
+        }
         self.checked.files += read.segments.len() as u64;
         let end = read.cursor.position - 1;
         let first = read.segments.first().copied().unwrap_or(1);
@@ -366,40 +434,71 @@ impl Check<'_> {
         }
     }
 
-    /// Checks the rows of the maps, and that those are there which should be.
-    fn index(
-        &mut self,
-        maps: &[(MapId, MapSpec)],
-        indexed: &BTreeSet<MapId>,
-        must_exist: bool,
-    ) -> Result<(), OpenError> {
+    /// Opens a map as a start does, but for repairs, where nothing was found wrong with its files from the finding
+    /// `before` on that would keep a start from it.
+    fn try_open(&mut self, map: MapId, spec: &MapSpec, rows: Option<Result<RowsState, ReadFailure>>, before: usize) {
+        if self.checked.findings.iter().skip(before).any(|finding| !finding.is_spare) {
+            return;
+        }
+        let directory = self.directory;
+        let folder = folders::map_folder(directory, map);
+        let disk = Arc::clone(&self.disk);
+        let checkpoints = Checkpoints { disk: &*disk, folder: folders::checkpoints_folder(directory, map), map };
+        let rows = rows.unwrap_or(Ok(RowsState::Nothing));
+        let opened = read_map(&checkpoints, spec, MEMORY, rows).and_then(|stored| {
+            catalogue::read_shared(&*disk, directory, map)?;
+            erasure::read_order(&*disk, directory, map)?;
+            Ok(stored)
+        });
+        let opened = opened.map_err(|error| error.to_string()).and_then(|stored| {
+            let (snapshot, segments, from, end) = stored.into_parts();
+            let log = folders::log_folder(directory, map);
+            (self.restore)(spec, snapshot, Replay::new(Arc::clone(&disk), log, segments, from, end))
+        });
+        if let Err(problem) = opened {
+            let problem = format!("the daemon does not open this map: {problem}");
+            self.find(&folder, problem, FOLDER_FROM_BACKUP);
+        }
+    }
+
+    /// What the index holds of the maps, and why it cannot be used.
+    fn read_index(&mut self, maps: &[(MapId, MapSpec)]) -> Result<(IndexedMaps, Option<ReadFailure>), OpenError> {
+        let folder = self.directory.join("index");
+        if !is_present(&folder) {
+            return Ok((IndexedMaps::new(), None));
+        }
+        match Index::inspect(folder, INDEX_CACHE_BYTES) {
+            Ok(mut index) => Ok((maps.iter().map(|&(map, _)| (map, index.check(map.0))).collect(), None)),
+            Err(Unopened::Failed(failure)) => Ok((IndexedMaps::new(), Some(failure))),
+            Err(Unopened::InUse) => Err(OpenError::Locked { directory: self.directory.to_owned(), pid: None }),
+        }
+    }
+
+    /// Finds what is wrong with the index, also where rows are missing that should be there.
+    fn index(&mut self, rows: &IndexedMaps, failure: Option<ReadFailure>, indexed: &BTreeSet<MapId>, must_exist: bool) {
         let folder = self.directory.join("index");
         if !is_present(&folder) {
             if must_exist && !indexed.is_empty() {
                 self.find_spare(&folder, "it is missing", BY_START, || false);
             }
-            return Ok(());
+            return;
         }
-        let rows = |map: MapId, found: Result<RowsState, String>| match found {
-            Err(damage) => Some(damage),
-            Ok(RowsState::Nothing) if indexed.contains(&map) => {
-                Some(format!("it holds nothing of map number {}", map.0))
+        let of_map = |(map, found): (&MapId, &Result<RowsState, ReadFailure>)| match found {
+            Err(failure) => Some(failure.clone()),
+            Ok(RowsState::Nothing) if indexed.contains(map) => {
+                Some(ReadFailure::Damaged(format!("it holds nothing of map number {}", map.0)))
             }
             // A save that was cut off is completed by the next start.
             Ok(_) => None,
         };
-        let damage = match Index::inspect(folder.clone(), INDEX_CACHE_BYTES) {
-            Ok(mut index) => maps.iter().find_map(|&(map, _)| rows(map, index.check(map.0))),
-            Err(Unopened::Damaged(reason)) => Some(reason),
-            Err(Unopened::InUse) => {
-                return Err(OpenError::Locked { directory: self.directory.to_owned(), pid: None });
+        match failure.or_else(|| rows.iter().find_map(of_map)) {
+            None => {}
+            Some(ReadFailure::Disk(reason)) => self.find_spare(&folder, reason, BY_DISK, || false),
+            Some(ReadFailure::Damaged(damage)) => {
+                let (disk, aside) = (Arc::clone(&self.disk), self.directory.join("index.damaged"));
+                let repair = || !is_present(&aside) && disk.rename(&folder, &aside).is_ok();
+                self.find_spare(&folder, damage, BY_REPAIR, repair);
             }
-        };
-        if let Some(damage) = damage {
-            let (disk, aside) = (Arc::clone(&self.disk), self.directory.join("index.damaged"));
-            let repair = || !is_present(&aside) && disk.rename(&folder, &aside).is_ok();
-            self.find_spare(&folder, damage, BY_REPAIR, repair);
         }
-        Ok(())
     }
 }

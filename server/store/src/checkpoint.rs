@@ -23,7 +23,8 @@ use tidemap_model::PhasorSum;
 use crate::{
     MapId,
     disk::Disk,
-    error::{OpenError, Report, StoreError, is_shortage, open_io, store_io},
+    error::{OpenError, Repair, StoreError, open_io, store_io},
+    failure::ReadFailure,
     record::{landmark, site, snapshot as record},
     record_file::{RecordReader, RecordWriter},
 };
@@ -49,15 +50,15 @@ const DAMAGED_EXTENSION: &str = "damaged";
 pub(crate) type CheckedCheckpoint = (PathBuf, Result<(u64, u64), String>);
 
 /// A checkpoint that cannot be read, with the reason.
-pub(crate) struct DamagedCheckpoint {
+pub(crate) struct UnreadCheckpoint {
     path: PathBuf,
-    reason: String,
+    failure: ReadFailure,
 }
 
-impl DamagedCheckpoint {
-    /// What is wrong with it.
-    pub(crate) fn reason(&self) -> &str {
-        &self.reason
+impl UnreadCheckpoint {
+    /// Why it cannot be read.
+    pub(crate) fn failure(&self) -> &ReadFailure {
+        &self.failure
     }
 }
 
@@ -211,18 +212,18 @@ impl Checkpoints<'_> {
         Ok(Arc::new(CheckpointTiles::new(file, name, spec.periodicities.clone(), offsets, shared)))
     }
 
-    fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, String> {
+    fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, ReadFailure> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
-            return Err("its position differs from its name".to_owned());
+            return Err("its position differs from its name".into());
         }
         let producers = (0..message.producers as usize).map(|id| {
             let producer = reader.record(RecordKind::Producer)?;
-            record::decode_producer(id, &producer).map_err(str::to_owned)
+            Ok(record::decode_producer(id, &producer)?)
         });
-        let producers = producers.collect::<Result<_, String>>()?;
-        let source = self.spectra(path).map_err(|error| error.to_string())?;
+        let producers = producers.collect::<Result<_, ReadFailure>>()?;
+        let source = self.spectra(path)?;
         let mut bytes = 0;
         let states = (0..message.states as usize).map(|id| {
             let offset = reader.offset();
@@ -235,9 +236,9 @@ impl Checkpoints<'_> {
                     cell.move_to(&source, offset);
                 }
             }
-            Ok::<_, String>(state)
+            Ok::<_, ReadFailure>(state)
         });
-        let states = states.collect::<Result<_, String>>()?;
+        let states = states.collect::<Result<_, ReadFailure>>()?;
         let site = read_site(&mut reader, &message)?;
         let grid = match &spec.grid {
             Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::UpTo(memory.tile_bytes))?),
@@ -274,27 +275,27 @@ impl Checkpoints<'_> {
         })
     }
 
-    /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
+    /// The newest checkpoint that can be read, and the newer ones that cannot. Changes nothing.
+    ///
+    /// # Errors
+    /// Also a lack of descriptors or memory: a good checkpoint must not be passed over for that.
     pub(crate) fn load(
         &self,
         spec: &MapSpec,
         memory: Memory,
-    ) -> io::Result<(Option<MapSnapshot>, Vec<DamagedCheckpoint>)> {
-        let mut damaged = Vec::new();
+    ) -> io::Result<(Option<MapSnapshot>, Vec<UnreadCheckpoint>)> {
+        let mut unread = Vec::new();
         for &position in self.positions()?.iter().rev() {
             let path = self.path(position);
             match self.read(spec, &path, position, memory) {
-                Ok(snapshot) => return Ok((Some(snapshot), damaged)),
-                Err(reason) => {
-                    // A good checkpoint must not be set aside because there are no descriptors to open it.
-                    if let Some(error) = self.disk.read_anywhere(&path).err().filter(is_shortage) {
-                        return Err(error);
-                    }
-                    damaged.push(DamagedCheckpoint { path, reason });
-                }
+                Ok(snapshot) => return Ok((Some(snapshot), unread)),
+                Err(failure) => match failure.shortage() {
+                    Some(error) => return Err(error),
+                    None => unread.push(UnreadCheckpoint { path, failure }),
+                },
             }
         }
-        Ok((None, damaged))
+        Ok((None, unread))
     }
 
     /// Reads every checkpoint: its position and the first record that it needs of the log, or what is wrong with it.
@@ -302,30 +303,36 @@ impl Checkpoints<'_> {
         let read = |position| {
             let path = self.path(position);
             let read = self.read(spec, &path, position, memory);
-            (path, read.map(|snapshot| (snapshot.position, snapshot.replay_from.max(1))))
+            let read = read.map(|snapshot| (snapshot.position, snapshot.replay_from.max(1)));
+            (path, read.map_err(String::from))
         };
         Ok(self.positions()?.into_iter().map(read).collect())
     }
 
-    /// Renames a damaged checkpoint and keeps it for inspection.
-    pub(crate) fn set_aside(&self, damaged: DamagedCheckpoint) -> Result<Report, OpenError> {
-        let DamagedCheckpoint { path, reason } = damaged;
+    /// Renames a damaged checkpoint and keeps it for inspection. One that the disk or the machine refuses to read stays
+    /// where it is: it may be sound.
+    pub(crate) fn set_aside(&self, unread: UnreadCheckpoint) -> Result<Repair, OpenError> {
+        let UnreadCheckpoint { path, failure } = unread;
+        let reason = match failure {
+            ReadFailure::Damaged(reason) => reason,
+            ReadFailure::Disk(reason) => return Ok(Repair::CheckpointNotRead { file: path, reason }),
+        };
         let file = path.with_added_extension(DAMAGED_EXTENSION);
         self.disk.rename(&path, &file).map_err(open_io(&path))?;
         self.disk.sync_folder(&self.folder).map_err(open_io(&self.folder))?;
         if let Some(position) = path.file_name().and_then(|name| name.to_str()).and_then(position) {
             self.unlist(position).map_err(|error| open_io(self.list_path())(io::Error::other(error.to_string())))?;
         }
-        Ok(Report::CheckpointSetAside { file, reason })
+        Ok(Repair::CheckpointSetAside { file, reason })
     }
 
     /// Removes files of an interrupted save.
-    pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+    pub(crate) fn remove_leftovers(&self, repairs: &mut Vec<Repair>) -> Result<(), OpenError> {
         for name in self.disk.list(&self.folder).map_err(open_io(&self.folder))? {
             if name.ends_with(NEW_SUFFIX) {
                 let file = self.folder.join(name);
                 self.disk.remove(&file).map_err(open_io(&file))?;
-                reports.push(Report::LeftoverRemoved { file });
+                repairs.push(Repair::LeftoverRemoved { file });
             }
         }
         Ok(())
@@ -333,7 +340,7 @@ impl Checkpoints<'_> {
 }
 
 /// The site of a checkpoint whose states have been read.
-fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site, String> {
+fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site, ReadFailure> {
     if !snapshot.has_site {
         return Ok(Site::default());
     }
@@ -341,8 +348,9 @@ fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site,
     let message: v1_site::Site = reader.long_message(RecordKind::Site, &mut bytes)?;
     let site = site::decode(&message, snapshot.states as usize)?;
     let place = |_| reader.long_message(RecordKind::Landmarks, &mut bytes);
-    let places = (0..snapshot.landmark_places).map(place).collect::<Result<Vec<v2::LandmarksAtPlace>, String>>()?;
-    landmark::decode_into(site, &places)
+    let places =
+        (0..snapshot.landmark_places).map(place).collect::<Result<Vec<v2::LandmarksAtPlace>, ReadFailure>>()?;
+    Ok(landmark::decode_into(site, &places)?)
 }
 
 /// Position of a checkpoint of that name; `None` for other files.

@@ -32,7 +32,7 @@ use crate::{
     MapId,
     checkpoint::{Checkpoints, Memory},
     disk::Disk,
-    error::{AppendError, EraseError, OpenError, Report, StoreError, open_io, store_io},
+    error::{AppendError, EraseError, OpenError, Repair, StoreError, open_io, store_io},
     folders,
     history::History,
     index::Index,
@@ -149,6 +149,9 @@ impl Rewrite<'_> {
 
         let (position, replay_from) =
             snapshot.as_ref().map_or((0, 1), |snapshot| (snapshot.position, snapshot.replay_from));
+        for entry in self.events(position, replay_from.max(1))? {
+            erasure.note(&entry?.1);
+        }
         self.write_checkpoint(&new, &mut erasure, snapshot)?;
         self.write_log(&new, &mut erasure, position, replay_from.max(1))?;
         self.write_history(&new, &erasure)?;
@@ -257,7 +260,7 @@ pub(crate) fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), 
 
 /// Removes what an erasure has replaced.
 pub(crate) fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) -> Result<(), EraseError> {
-    index.erase(map.0).map_err(|reason| EraseError::Index { reason })?;
+    index.erase(map.0).map_err(|failure| EraseError::Index { reason: failure.to_string() })?;
     let replaced = beside(directory, map, REPLACED_SUFFIX);
     remove_folder(disk, &replaced).map_err(store_io(replaced))?;
     let maps = folders::maps_folder(directory);
@@ -276,11 +279,11 @@ pub(crate) fn complete(
     disk: &dyn Disk,
     directory: &Path,
     index: &mut Index,
-    reports: &mut Vec<Report>,
+    repairs: &mut Vec<Repair>,
 ) -> Result<(), OpenError> {
     for map in with(disk, directory, ERASED_SUFFIX)? {
         swap(disk, directory, map).map_err(|error| error.opening(&folders::maps_folder(directory)))?;
-        reports.push(Report::ErasureCompleted { map });
+        repairs.push(Repair::ErasureCompleted { map });
     }
     for map in with(disk, directory, REPLACED_SUFFIX)? {
         clean_at_start(disk, directory, index, map);
@@ -288,9 +291,23 @@ pub(crate) fn complete(
     for map in with(disk, directory, ERASING_SUFFIX)? {
         let file = beside(directory, map, ERASING_SUFFIX);
         disk.remove_folder(&file).map_err(open_io(&file))?;
-        reports.push(Report::LeftoverRemoved { file });
+        repairs.push(Repair::LeftoverRemoved { file });
     }
     Ok(())
+}
+
+/// The erasure that was ordered and is not complete, if there is one.
+///
+/// # Errors
+/// The file of the order is damaged or cannot be read.
+pub(crate) fn read_order(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<ErasureOrder>, OpenError> {
+    let file = folders::map_folder(directory, map).join(ERASE_FILE);
+    match list_file::read::<ErasureOrder>(disk, &file) {
+        Ok(order) => Ok(Some(order)),
+        Err(Unlisted::Absent) => Ok(None),
+        Err(Unlisted::Damaged(reason)) => Err(OpenError::Damaged { file, reason: reason.to_owned() }),
+        Err(Unlisted::Io(error)) => Err(open_io(file)(error)),
+    }
 }
 
 /// After the maps are listed: repeats an erasure that was ordered. An error sets the map aside.
@@ -301,21 +318,13 @@ pub(crate) fn repeat(
     index: &mut Index,
     map: MapId,
     spec: &MapSpec,
-    reports: &mut Vec<Report>,
+    repairs: &mut Vec<Repair>,
 ) -> Result<(), EraseError> {
-    let file = folders::map_folder(directory, map).join(ERASE_FILE);
-    let order = match list_file::read::<ErasureOrder>(&**disk, &file) {
-        Ok(order) => order,
-        Err(Unlisted::Absent) => return Ok(()),
-        Err(Unlisted::Damaged(reason)) => {
-            return Err(OpenError::Damaged { file, reason: reason.to_owned() }.into());
-        }
-        Err(Unlisted::Io(error)) => return Err(open_io(file)(error).into()),
-    };
+    let Some(order) = read_order(&**disk, directory, map)? else { return Ok(()) };
     let rewrite = Rewrite { disk, directory, options, map, spec };
     rewrite.run(rewrite.prepare(&order)?)?;
     swap(&**disk, directory, map)?;
-    reports.push(Report::ErasureCompleted { map });
+    repairs.push(Repair::ErasureCompleted { map });
     clean_at_start(&**disk, directory, index, map);
     Ok(())
 }

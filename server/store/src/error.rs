@@ -1,4 +1,4 @@
-//! Errors of the store, and reports of what it repaired.
+//! Errors of the store, and what it repaired while opening.
 //!
 //! Invariant: a message states what is wrong, in which file and where, and what the user can do about it.
 
@@ -226,11 +226,14 @@ pub enum EraseError {
 /// A repair that was made while opening. No acknowledged observation is lost by a repair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
-pub enum Report {
+pub enum Repair {
     /// The end of a log had not been written whole when the process or the machine stopped.
-    TornTail { file: PathBuf, bytes: u64 },
+    /// Of its last bytes, `zero_bytes` are zero: what was there is not known.
+    TornTail { file: PathBuf, bytes: u64, zero_bytes: u64 },
     /// A checkpoint cannot be read; it was renamed and an older one is used.
     CheckpointSetAside { file: PathBuf, reason: String },
+    /// The disk or the machine refuses to read a checkpoint. It stays where it is, and an older one is used.
+    CheckpointNotRead { file: PathBuf, reason: String },
     /// The index cannot be read; its folder was renamed and an empty one created.
     IndexSetAside { folder: PathBuf, reason: String },
     /// A list of the files that must exist was damaged or missing. Other files prove that all are there, and it was
@@ -242,8 +245,10 @@ pub enum Report {
     MapListed { map: MapId },
     /// The index of a map was written again from its checkpoint.
     IndexRebuilt { map: MapId, reason: String },
-    /// There is no index; checkpoints and logs do not need it.
+    /// There is no index; checkpoints and logs do not need it, and it is tried again.
     IndexUnavailable { reason: String },
+    /// The index can be used again.
+    IndexRecovered,
     /// A leftover of an interrupted operation was removed.
     LeftoverRemoved { file: PathBuf },
     /// An erasure that was interrupted has been completed.
@@ -252,38 +257,55 @@ pub enum Report {
     CopyCompleted { map: MapId },
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for Repair {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Report::TornTail { file, bytes } => {
+            Repair::TornTail { file, bytes, zero_bytes: 0 } => {
                 write!(f, "cut {bytes} bytes off the end of {} that had not been written whole", shown(file))
             }
-            Report::CheckpointSetAside { file, reason } => {
+            Repair::TornTail { file, bytes, zero_bytes } => {
+                write!(f, "cut {bytes} bytes off the end of {}: {}", shown(file), zeroed_tail(*zero_bytes))
+            }
+            Repair::CheckpointSetAside { file, reason } => {
                 write!(f, "set a damaged checkpoint aside as {}: {reason}", shown(file))
             }
-            Report::IndexSetAside { folder, reason } => {
+            Repair::CheckpointNotRead { file, reason } => write!(
+                f,
+                "did not use the checkpoint {}, which the disk does not give: {reason}. It may be sound and stays where \
+                 it is; an older one or the log is used",
+                shown(file)
+            ),
+            Repair::IndexSetAside { folder, reason } => {
                 write!(f, "set the damaged index aside as {}: {reason}", shown(folder))
             }
-            Report::ListMade { file, reason } => {
+            Repair::ListMade { file, reason } => {
                 write!(f, "made {} again of the files that exist, which prove to be all: {reason}", shown(file))
             }
-            Report::SpareMissing { file } => {
+            Repair::SpareMissing { file } => {
                 write!(f, "{} is missing. Nothing is lost by it, but find out who removed it", shown(file))
             }
-            Report::MapListed { map } => write!(f, "listed map number {}, which was not listed", map.0),
-            Report::IndexRebuilt { map, reason } => {
+            Repair::MapListed { map } => write!(f, "listed map number {}, which was not listed", map.0),
+            Repair::IndexRebuilt { map, reason } => {
                 write!(f, "rebuilt the index of map number {}: {reason}", map.0)
             }
-            Report::IndexUnavailable { reason } => write!(f, "continuing without the index: {reason}"),
-            Report::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", shown(file)),
-            Report::ErasureCompleted { map } => {
+            Repair::IndexUnavailable { reason } => {
+                write!(f, "continuing without the index, which stays as it is and is tried again: {reason}")
+            }
+            Repair::IndexRecovered => write!(f, "the index can be used again"),
+            Repair::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", shown(file)),
+            Repair::ErasureCompleted { map } => {
                 write!(f, "completed an erasure from map number {}, which was interrupted", map.0)
             }
-            Report::CopyCompleted { map } => {
+            Repair::CopyCompleted { map } => {
                 write!(f, "put the copy of map number {} in its place, which was interrupted", map.0)
             }
         }
     }
+}
+
+/// What is known of zeros at the end of a log.
+pub(crate) fn zeroed_tail(zero_bytes: u64) -> String {
+    format!("the last {zero_bytes} bytes are zero; records that were there may have been acknowledged")
 }
 
 /// No space on the disk, or none left for this user.
@@ -316,6 +338,38 @@ pub(crate) fn is_shortage(error: &io::Error) -> bool {
     use rustix::io::Errno;
     let shortages = [Errno::MFILE, Errno::NFILE, Errno::NOMEM].map(Errno::raw_os_error);
     error.raw_os_error().is_some_and(|code| shortages.contains(&code))
+}
+
+/// Errors of the system that describe what a path leads to, or how it was used; all others come from the disk or the
+/// machine.
+const OF_CONTENT: [rustix::io::Errno; 7] = {
+    use rustix::io::Errno;
+    [Errno::NOENT, Errno::NOTDIR, Errno::ISDIR, Errno::EXIST, Errno::NOTEMPTY, Errno::LOOP, Errno::INVAL]
+};
+
+/// Whether the disk or the machine refuses, by the number of the system's error: a full or read-only disk, a file that
+/// may not be read, a lack of descriptors or memory, a disk that fails. It tells nothing of what a file holds.
+pub(crate) fn is_of_machine_code(code: i32) -> bool {
+    code != 0 && OF_CONTENT.iter().all(|of_content| of_content.raw_os_error() != code)
+}
+
+/// Whether the disk or the machine refuses, which tells nothing of what a file holds.
+pub(crate) fn is_of_machine(error: &io::Error) -> bool {
+    use io::ErrorKind;
+    match error.raw_os_error() {
+        Some(code) => is_of_machine_code(code),
+        // Of an error that was copied, only its kind is left.
+        None => matches!(
+            error.kind(),
+            ErrorKind::StorageFull
+                | ErrorKind::QuotaExceeded
+                | ErrorKind::ReadOnlyFilesystem
+                | ErrorKind::PermissionDenied
+                | ErrorKind::OutOfMemory
+                | ErrorKind::TimedOut
+                | ErrorKind::StaleNetworkFileHandle
+        ),
+    }
 }
 
 /// Names the file of an error while opening.

@@ -5,6 +5,7 @@
 //! it, or, if it has a single group, until the map has all of it.
 
 use std::{
+    io,
     path::{Path, PathBuf},
     sync::{Arc, PoisonError},
 };
@@ -115,10 +116,20 @@ fn read_fork(disk: &dyn Disk, file: &Path) -> Result<(Vec<(u64, Event)>, usize),
     Ok((events, groups))
 }
 
-fn fork_in(disk: &dyn Disk, folder: &Path, name: String) -> Result<Fork, OpenError> {
+/// What a file holds that was set aside.
+pub(crate) fn fork_in(disk: &dyn Disk, folder: &Path, name: String) -> Result<Fork, OpenError> {
     let (events, groups) = read_fork(disk, &folder.join(&name))?;
     let position = |event: Option<&(u64, Event)>| event.map_or(0, |&(position, _)| position);
     Ok(Fork { name, first: position(events.first()), last: position(events.last()), groups })
+}
+
+/// Names of the files of forks in a folder of them, which may be missing.
+pub(crate) fn fork_names(disk: &dyn Disk, folder: &Path) -> io::Result<Vec<String>> {
+    match disk.list(folder) {
+        Ok(names) => Ok(names.into_iter().filter(|name| name.ends_with(".log")).collect()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        Err(error) => Err(error),
+    }
 }
 
 impl Store {
@@ -211,12 +222,8 @@ impl Store {
     /// [`OpenError`] where a file cannot be read.
     pub fn forks(&self, map: MapId) -> Result<Vec<Fork>, OpenError> {
         let (disk, folder) = (&*self.inner().disk, self.forks_folder(map));
-        let names = match disk.list(&folder) {
-            Ok(names) => names,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-            Err(error) => return Err(open_io(folder)(error)),
-        };
-        names.into_iter().filter(|name| name.ends_with(".log")).map(|name| fork_in(disk, &folder, name)).collect()
+        let names = fork_names(disk, &folder).map_err(open_io(folder.clone()))?;
+        names.into_iter().map(|name| fork_in(disk, &folder, name)).collect()
     }
 
     /// The records of a fork, with the positions that they had.

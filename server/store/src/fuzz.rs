@@ -260,7 +260,8 @@ pub fn log_segment(bytes: &[u8]) {
     }
     open(&disk, &segment_path(folder, 1), &segment);
     let expected = recovery::Expectation { map: MAP, replay_from: 1, known: 0, is_listed: false };
-    if let Ok(found) = recovery::recover(&disk, folder, &expected) {
+    let read = recovery::read(&disk, folder, &expected);
+    if let Ok(found) = read.and_then(|read| recovery::repair(&disk, folder, read)) {
         let end = found.cursor.position - 1;
         for event in Replay::new(Arc::new(disk), folder.to_owned(), found.segments, 1, end) {
             if event.is_err() {

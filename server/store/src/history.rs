@@ -18,7 +18,7 @@ use tidemap_model::{Sample, StopSignal};
 use crate::{
     MapId,
     disk::Disk,
-    error::{EraseError, HistoryError, OpenError, Report, StoreError, open_io, store_io},
+    error::{EraseError, HistoryError, OpenError, Repair, StoreError, open_io, store_io},
 };
 
 mod days;
@@ -407,12 +407,12 @@ impl History {
     }
 
     /// Removes files of an interrupted save.
-    pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+    pub(crate) fn remove_leftovers(&self, repairs: &mut Vec<Repair>) -> Result<(), OpenError> {
         for name in self.names().map_err(open_io(&self.folder))? {
             if name.ends_with(NEW_SUFFIX) {
                 let file = self.folder.join(name);
                 self.disk.remove(&file).map_err(open_io(&file))?;
-                reports.push(Report::LeftoverRemoved { file });
+                repairs.push(Repair::LeftoverRemoved { file });
             }
         }
         Ok(())

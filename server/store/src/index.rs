@@ -7,9 +7,10 @@
 use std::{
     collections::BTreeMap,
     fs::{self, File},
+    io,
     path::{Path, PathBuf},
     sync::Weak,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use tidemap_grid::tile::TileModel;
@@ -27,39 +28,66 @@ mod save;
 use read::MarkState;
 use rows::{Kind, Sum};
 
-/// How often an index that is still locked is tried again, and the pause between two tries.
+use crate::failure::ReadFailure;
+
+/// How often an index that is still locked is tried again at a start, and the pause between two tries.
 const LOCK_TRIES: usize = 250;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
-/// The reason why an index must be replaced as a whole.
-pub(crate) type Damage = String;
+/// An index that the disk or the machine refused is tried again after the first pause; every further pause is twice as
+/// long, up to the second.
+const RETRY_FIRST: Duration = Duration::from_secs(5);
+const RETRY_MAX: Duration = Duration::from_secs(60);
+
+/// Why an index is not opened.
+#[derive(Debug)]
+pub(crate) enum Unopened {
+    /// Somebody has it open, which is no damage.
+    InUse,
+    /// It is damaged, or the disk or the machine refuses.
+    Failed(ReadFailure),
+}
+
+impl From<ReadFailure> for Unopened {
+    fn from(failure: ReadFailure) -> Self {
+        Unopened::Failed(failure)
+    }
+}
+
+impl From<io::Error> for Unopened {
+    fn from(error: io::Error) -> Self {
+        Unopened::Failed(error.into())
+    }
+}
+
+impl From<sled::Error> for Unopened {
+    fn from(error: sled::Error) -> Self {
+        Unopened::Failed(error.into())
+    }
+}
+
+impl From<Unopened> for ReadFailure {
+    fn from(unopened: Unopened) -> Self {
+        match unopened {
+            // Whoever has it will end.
+            Unopened::InUse => ReadFailure::Disk("it is still in use".to_owned()),
+            Unopened::Failed(failure) => failure,
+        }
+    }
+}
 
 /// Another process has the index open, which is no damage.
 #[derive(Debug)]
 pub(crate) struct IndexInUse;
 
-/// Why an index is not opened.
-#[derive(Debug)]
-pub(crate) enum Unopened {
-    /// Another process has it open.
-    InUse,
-    /// It is damaged.
-    Damaged(Damage),
-}
+/// An index that was damaged: its new path, and why.
+pub(crate) type ReplacedIndex = (PathBuf, String);
 
-impl From<Damage> for Unopened {
-    fn from(damage: Damage) -> Self {
-        Unopened::Damaged(damage)
-    }
-}
-
-impl From<Unopened> for Damage {
-    fn from(unopened: Unopened) -> Self {
-        match unopened {
-            Unopened::InUse => "another process has it open".to_owned(),
-            Unopened::Damaged(damage) => damage,
-        }
-    }
+/// When an index that failed is tried again.
+#[derive(Clone, Copy)]
+struct Retry {
+    at: Instant,
+    pause: Duration,
 }
 
 /// The open database.
@@ -122,26 +150,29 @@ pub(crate) enum RowsState {
 pub(crate) struct Index {
     folder: PathBuf,
     cache_bytes: u64,
-    /// `None` after a failure: the store continues without it.
+    /// `None` after a failure: the store continues without it, until it is opened again.
     trees: Option<Trees>,
+    /// Why there are none.
+    failure: Option<ReadFailure>,
+    retry: Option<Retry>,
     /// Maps whose rows are all known.
     written: BTreeMap<u32, KnownRows>,
 }
 
 impl Trees {
-    fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Unopened> {
+    fn open(folder: &Path, cache_bytes: u64, lock_tries: usize) -> Result<Trees, Unopened> {
         panics::catch(|| {
-            folder::remove_unfinished_snapshots(folder).map_err(|error| error.to_string())?;
+            folder::remove_unfinished_snapshots(folder)?;
+            folder::check_settings(folder)?;
             // sled only logs a failed fsync of its own; here every flush is followed by an fsync of ours.
             let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
-            let text = |error: sled::Error| error.to_string();
-            let db = open_unlocked(&config)
-                .map_err(|error| if is_in_use(&error) { Unopened::InUse } else { text(error).into() })?;
-            let tree = |kind: Kind| db.open_tree(kind.name()).map_err(text);
+            let db = open_unlocked(&config, lock_tries)
+                .map_err(|error| if is_in_use(&error) { Unopened::InUse } else { error.into() })?;
+            let tree = |kind: Kind| db.open_tree(kind.name());
             let [states, tiles, cells, sites, producers, landmarks] = Kind::ALL.map(tree);
             Ok(Trees {
                 rows: [states?, tiles?, cells?, sites?, producers?, landmarks?],
-                generations: db.open_tree(GENERATIONS).map_err(text)?,
+                generations: db.open_tree(GENERATIONS)?,
                 folder: folder.to_owned(),
                 db,
             })
@@ -153,17 +184,17 @@ impl Trees {
     }
 
     /// Makes everything durable: sled's flush does not fsync.
-    fn flush(&self) -> Result<(), Damage> {
-        self.db.flush().map_err(|error| error.to_string())?;
-        File::open(self.folder.join("db")).and_then(|file| file.sync_all()).map_err(|error| error.to_string())
+    fn flush(&self) -> Result<(), ReadFailure> {
+        self.db.flush()?;
+        Ok(File::open(self.folder.join("db")).and_then(|file| file.sync_all())?)
     }
 }
 
 /// Opens the database. The threads of one that this process has just closed may hold its lock for a moment; another
 /// process cannot, because the lock of the data folder is ours.
-fn open_unlocked(config: &sled::Config) -> sled::Result<sled::Db> {
+fn open_unlocked(config: &sled::Config, tries: usize) -> sled::Result<sled::Db> {
     let mut opened = config.open();
-    for _ in 0..LOCK_TRIES {
+    for _ in 1..tries {
         if !opened.as_ref().is_err_and(is_in_use) {
             break;
         }
@@ -178,37 +209,81 @@ fn is_in_use(error: &sled::Error) -> bool {
 }
 
 impl Index {
-    /// Opens the index. One that cannot be opened is renamed and an empty one created; the second value is its new
-    /// path, and why.
+    fn closed(folder: PathBuf, cache_bytes: u64) -> Index {
+        Index { folder, cache_bytes, trees: None, failure: None, retry: None, written: BTreeMap::new() }
+    }
+
+    /// Opens the index. One that is damaged is renamed and an empty one created; the second value is its new path, and
+    /// why. One that the disk or the machine refuses stays as it is, and is tried again by [`Self::reopen`].
     ///
     /// # Errors
     /// [`IndexInUse`]; nothing is changed.
-    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> Result<(Index, Option<(PathBuf, Damage)>), IndexInUse> {
-        let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
-        let opened = rewrite::remove_leftovers(&index.folder).map_err(|error| Unopened::Damaged(error.to_string()));
-        Ok(match opened.and_then(|()| Trees::open(&index.folder, cache_bytes)) {
+    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> Result<(Index, Option<ReplacedIndex>), IndexInUse> {
+        let mut index = Index::closed(folder, cache_bytes);
+        match index.try_open(LOCK_TRIES) {
+            Ok(replaced) => Ok((index, replaced)),
+            Err(Unopened::InUse) => Err(IndexInUse),
+            Err(Unopened::Failed(failure)) => {
+                index.note(failure);
+                Ok((index, None))
+            }
+        }
+    }
+
+    /// Opens it, and replaces it where it is damaged.
+    fn try_open(&mut self, lock_tries: usize) -> Result<Option<ReplacedIndex>, Unopened> {
+        rewrite::remove_leftovers(&self.folder)?;
+        match Trees::open(&self.folder, self.cache_bytes, lock_tries) {
             Ok(trees) => {
-                index.trees = Some(trees);
-                (index, None)
+                self.trees = Some(trees);
+                self.failure = None;
+                Ok(None)
             }
-            Err(Unopened::InUse) => return Err(IndexInUse),
-            Err(Unopened::Damaged(damage)) => {
-                let aside = index.replace();
-                let aside = aside.unwrap_or_else(|_| index.folder.clone());
-                (index, Some((aside, damage)))
+            Err(Unopened::Failed(ReadFailure::Damaged(damage))) => Ok(Some((self.replace()?, damage))),
+            Err(unopened) => Err(unopened),
+        }
+    }
+
+    /// Whether the index is to be opened again now.
+    pub(crate) fn is_retry_due(&self, now: Instant) -> bool {
+        self.trees.is_none() && self.failure.is_some() && self.retry.is_none_or(|retry| now >= retry.at)
+    }
+
+    /// Opens an index that has failed; whether it is open now, and what was replaced. Its rows must be checked then.
+    pub(crate) fn reopen(&mut self) -> (bool, Option<ReplacedIndex>) {
+        if self.trees.is_some() || self.failure.is_none() {
+            return (false, None);
+        }
+        match self.try_open(1) {
+            Ok(replaced) => (true, replaced),
+            Err(unopened) => {
+                self.note(unopened.into());
+                (false, None)
             }
-        })
+        }
+    }
+
+    /// The index has all that it should have: the next failure is tried again soon.
+    pub(crate) fn has_recovered(&mut self) {
+        if self.is_available() {
+            self.retry = None;
+        }
     }
 
     /// Opens the index as it is, to look at it.
     pub(crate) fn inspect(folder: PathBuf, cache_bytes: u64) -> Result<Index, Unopened> {
-        let trees = Some(Trees::open(&folder, cache_bytes)?);
-        Ok(Index { folder, cache_bytes, trees, written: BTreeMap::new() })
+        let trees = Some(Trees::open(&folder, cache_bytes, LOCK_TRIES)?);
+        Ok(Index { trees, ..Index::closed(folder, cache_bytes) })
     }
 
     /// No index.
     pub(crate) fn none() -> Index {
-        Index { folder: PathBuf::new(), cache_bytes: 0, trees: None, written: BTreeMap::new() }
+        Index::closed(PathBuf::new(), 0)
+    }
+
+    /// Why the index is not used, where it should be.
+    pub(crate) fn failure(&self) -> Option<String> {
+        self.failure.as_ref().map(ReadFailure::to_string)
     }
 
     /// Whether the index is usable.
@@ -217,26 +292,31 @@ impl Index {
     }
 
     /// Renames the index and creates an empty one. Returns the new path of the old one.
-    pub(crate) fn replace(&mut self) -> Result<PathBuf, Damage> {
+    pub(crate) fn replace(&mut self) -> Result<PathBuf, ReadFailure> {
         self.give_up();
-        let aside = folder::set_aside(&self.folder).map_err(|error| error.to_string())?;
-        self.create()?;
+        let aside = folder::set_aside(&self.folder)?;
+        self.create().inspect_err(|_| {
+            tracing::warn!(folder = %aside.display(), "a damaged index is set aside, and no new one can be made yet");
+        })?;
         Ok(aside)
     }
 
     /// Removes the index and creates an empty one.
-    fn drop_all(&mut self) -> Result<(), Damage> {
+    fn drop_all(&mut self) -> Result<(), ReadFailure> {
         self.give_up();
         match fs::remove_dir_all(&self.folder) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.to_string()),
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
             _ => {}
         }
         self.create()
     }
 
-    fn create(&mut self) -> Result<(), Damage> {
-        self.trees = Some(Trees::open(&self.folder, self.cache_bytes)?);
-        folder::sync_with_parent(&self.folder).map_err(|error| error.to_string())
+    fn create(&mut self) -> Result<(), ReadFailure> {
+        let trees = Trees::open(&self.folder, self.cache_bytes, LOCK_TRIES)?;
+        folder::sync_with_parent(&self.folder)?;
+        self.trees = Some(trees);
+        self.failure = None;
+        Ok(())
     }
 
     /// Continues without an index.
@@ -248,13 +328,13 @@ impl Index {
     }
 
     /// What the rows of a map publish; `None` where they are not whole. Changes nothing.
-    pub(crate) fn read(&self, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, Damage> {
+    pub(crate) fn read(&self, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, ReadFailure> {
         let Some(trees) = &self.trees else { return Ok(None) };
         panics::catch(|| read::read(trees, map, spec))?
     }
 
     /// Reads and checks all rows of a map.
-    pub(crate) fn check(&mut self, map: u32) -> Result<RowsState, Damage> {
+    pub(crate) fn check(&mut self, map: u32) -> Result<RowsState, ReadFailure> {
         let Some(trees) = &self.trees else { return Ok(RowsState::Nothing) };
         let checked = panics::catch(|| match read::mark(trees, map)? {
             MarkState::Nothing => Ok(Err(RowsState::Nothing)),
@@ -262,7 +342,7 @@ impl Index {
             MarkState::Clean(mark, _) => {
                 let known = read::check(trees, map, &mark)?;
                 let snapshot = mark.snapshot.unwrap_or_default();
-                Ok::<_, Damage>(Ok((known, snapshot.position, snapshot.generation)))
+                Ok::<_, ReadFailure>(Ok((known, snapshot.position, snapshot.generation)))
             }
         })??;
         Ok(match checked {
@@ -300,7 +380,7 @@ impl Index {
                     self.rewrite();
                 }
             }
-            Err(damage) => self.fail(&damage),
+            Err(failure) => self.fail(failure),
         }
     }
 
@@ -310,33 +390,50 @@ impl Index {
         let Some(trees) = self.trees.take() else { return };
         match panics::catch(move || rewrite::rewrite(trees, &folder, cache_bytes)).flatten() {
             Ok(trees) => self.trees = Some(trees),
-            Err(damage) => self.fail(&damage),
+            Err(failure) => self.fail(failure),
         }
     }
 
-    fn fail(&mut self, damage: &str) {
-        tracing::warn!(damage, "the index has failed and is not used until the next start");
+    /// Continues without the index until it is opened again.
+    pub(crate) fn fail(&mut self, failure: ReadFailure) {
+        tracing::warn!(%failure, "the index has failed: it is not used, and tried again");
         self.give_up();
+        self.note(failure);
+    }
+
+    fn note(&mut self, failure: ReadFailure) {
+        self.failure = Some(failure);
+        let pause = self.retry.map_or(RETRY_FIRST, |retry| (retry.pause * 2).min(RETRY_MAX));
+        self.retry = Some(Retry { at: Instant::now() + pause, pause });
     }
 
     /// Removes the rows of a map.
     pub(crate) fn purge(&mut self, map: u32) {
         self.written.remove(&map);
         let Some(trees) = &self.trees else { return };
-        if let Err(damage) = panics::catch(|| save::purge(trees, map)).flatten() {
-            self.fail(&damage);
+        if let Err(failure) = panics::catch(|| save::purge(trees, map)).flatten() {
+            self.fail(failure);
+        }
+    }
+
+    /// Removes the rows of maps that are gone. They may have gone while the index was not open.
+    pub(crate) fn purge_unknown(&mut self, is_known: impl Fn(u32) -> bool) {
+        let Some(trees) = &self.trees else { return };
+        match panics::catch(|| read::marked(trees)).flatten() {
+            Ok(maps) => maps.into_iter().filter(|&map| !is_known(map)).for_each(|map| self.purge(map)),
+            Err(failure) => self.fail(failure),
         }
     }
 
     /// Removes everything of a map from the disk: the database is written again without its rows, or dropped where that
     /// fails, and databases that were set aside are removed.
-    pub(crate) fn erase(&mut self, map: u32) -> Result<(), Damage> {
+    pub(crate) fn erase(&mut self, map: u32) -> Result<(), ReadFailure> {
         self.purge(map);
         if self.is_available() {
             self.rewrite();
         }
         if !self.folder.as_os_str().is_empty() {
-            folder::remove_set_aside(&self.folder).map_err(|error| error.to_string())?;
+            folder::remove_set_aside(&self.folder)?;
             if !self.is_available() {
                 self.drop_all()?;
             }
@@ -347,11 +444,13 @@ impl Index {
     /// Makes everything durable and closes the database.
     pub(crate) fn close(&mut self) {
         if let Some(trees) = &self.trees
-            && let Err(damage) = panics::catch(|| trees.flush()).flatten()
+            && let Err(failure) = panics::catch(|| trees.flush()).flatten()
         {
-            tracing::warn!(%damage, "the index has failed while closing");
+            tracing::warn!(%failure, "the index has failed while closing");
         }
         self.give_up();
+        // Nobody opens it again.
+        self.failure = None;
     }
 }
 

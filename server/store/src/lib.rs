@@ -16,6 +16,7 @@ pub mod disk;
 mod erasure;
 mod error;
 mod event_log;
+mod failure;
 mod folders;
 mod fork;
 #[cfg(feature = "fuzz")]
@@ -41,11 +42,11 @@ pub mod simulation;
 mod tests;
 
 pub use backup::{BackupError, BackupReport, is_backup_of, link_backup, restore};
-pub use check::{Checked, Finding, Mode, Outcome, check};
+pub use check::{Checked, Finding, Mode, Outcome, TryRestore, check, check_with};
 pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use digest::{NoDigest, digest};
 pub use erasure::Erased;
-pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
+pub use error::{AppendError, EraseError, HistoryError, OpenError, Repair, StoreError};
 pub use event_log::EventLog;
 pub use fork::{Fork, ForkError};
 pub use group_log::{ForeignGroupError, GroupLog, QueuedEvent, WrittenGroup};

@@ -14,7 +14,10 @@ use tidemap_migrations::v1::file::{
     TRAILER_LENGTH, Trailer,
 };
 
-use crate::disk::{Disk, DiskFile};
+use crate::{
+    disk::{Disk, DiskFile},
+    failure::ReadFailure,
+};
 
 pub(crate) mod anywhere;
 
@@ -109,20 +112,15 @@ pub(crate) struct RecordReader {
     payload: Vec<u8>,
 }
 
-/// Why a file cannot be read.
-fn unreadable(error: &io::Error) -> String {
-    if error.kind() == io::ErrorKind::UnexpectedEof { "it is cut off".to_owned() } else { error.to_string() }
-}
-
 impl RecordReader {
-    pub(crate) fn open(disk: &dyn Disk, path: &Path, magic: [u8; 8], map: u32) -> Result<RecordReader, String> {
-        let reader = disk.read(path).map_err(|error| unreadable(&error))?;
+    pub(crate) fn open(disk: &dyn Disk, path: &Path, magic: [u8; 8], map: u32) -> Result<RecordReader, ReadFailure> {
+        let reader = disk.read(path)?;
         let mut reader = BufReader::with_capacity(BUFFER / 4, reader);
         let mut bytes = [0; FILE_HEADER_LENGTH];
-        reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+        reader.read_exact(&mut bytes)?;
         let header = FileHeader::decode(&bytes).ok_or("its header is not valid")?;
         if header.magic != magic || header.map != map {
-            return Err("its header is that of another file".to_owned());
+            return Err("its header is that of another file".into());
         }
         let offset = FILE_HEADER_LENGTH as u64;
         let crc = crc32c::crc32c(&bytes);
@@ -136,16 +134,16 @@ impl RecordReader {
     }
 
     /// The kind of the next record.
-    pub(crate) fn next_kind(&mut self) -> Result<RecordKind, String> {
+    pub(crate) fn next_kind(&mut self) -> Result<RecordKind, ReadFailure> {
         self.next_header().map(|header| header.kind)
     }
 
-    fn next_header(&mut self) -> Result<RecordHeader, String> {
+    fn next_header(&mut self) -> Result<RecordHeader, ReadFailure> {
         if let Some(header) = self.ahead {
             return Ok(header);
         }
         let mut bytes = [0; RECORD_HEADER_LENGTH];
-        self.reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+        self.reader.read_exact(&mut bytes)?;
         let header = RecordHeader::decode(&bytes)
             .ok_or_else(|| format!("the header of record {} is not valid", self.records + 1))?;
         self.total_crc = crc32c::crc32c_append(self.total_crc, &bytes);
@@ -154,16 +152,16 @@ impl RecordReader {
     }
 
     /// The payload of the next record, which must be of that kind.
-    fn next(&mut self, kind: RecordKind) -> Result<&[u8], String> {
+    fn next(&mut self, kind: RecordKind) -> Result<&[u8], ReadFailure> {
         let header = self.next_header()?;
         let record = self.records + 1;
         self.payload.resize(header.payload_length as usize, 0);
-        self.reader.read_exact(&mut self.payload).map_err(|error| unreadable(&error))?;
+        self.reader.read_exact(&mut self.payload)?;
         if crc32c::crc32c(&self.payload) != header.payload_crc {
-            return Err(format!("the checksum of record {record} does not match"));
+            return Err(format!("the checksum of record {record} does not match").into());
         }
         if header.kind != kind {
-            return Err(format!("record {record} is of another kind than it should"));
+            return Err(format!("record {record} is of another kind than it should").into());
         }
         self.total_crc = crc32c::crc32c_append(self.total_crc, &self.payload);
         self.records = record;
@@ -173,20 +171,20 @@ impl RecordReader {
     }
 
     /// The next record, which must be of that kind.
-    pub(crate) fn record<M: Message + Default>(&mut self, kind: RecordKind) -> Result<M, String> {
+    pub(crate) fn record<M: Message + Default>(&mut self, kind: RecordKind) -> Result<M, ReadFailure> {
         let record = self.records + 1;
-        M::decode(self.next(kind)?).map_err(|_| format!("record {record} is not a message"))
+        M::decode(self.next(kind)?).map_err(|_| format!("record {record} is not a message").into())
     }
 
     /// The payload of the next record, which must be of that kind.
-    pub(crate) fn raw(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), String> {
+    pub(crate) fn raw(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), ReadFailure> {
         out.clear();
         out.extend_from_slice(self.next(kind)?);
         Ok(())
     }
 
     /// The pieces of the next long record, which must be of that kind, in `out`.
-    pub(crate) fn long(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), String> {
+    pub(crate) fn long(&mut self, kind: RecordKind, out: &mut Vec<u8>) -> Result<(), ReadFailure> {
         out.clear();
         loop {
             let (mark, piece) = split_piece(self.next(kind)?)?;
@@ -202,33 +200,33 @@ impl RecordReader {
         &mut self,
         kind: RecordKind,
         buffer: &mut Vec<u8>,
-    ) -> Result<M, String> {
+    ) -> Result<M, ReadFailure> {
         let record = self.records + 1;
         self.long(kind, buffer)?;
-        M::decode(&buffer[..]).map_err(|_| format!("record {record} is not a message"))
+        M::decode(&buffer[..]).map_err(|_| format!("record {record} is not a message").into())
     }
 
     /// Checks that all records have been read and that nothing follows. Returns the trailer.
-    pub(crate) fn finish(mut self) -> Result<Trailer, String> {
+    pub(crate) fn finish(mut self) -> Result<Trailer, ReadFailure> {
         let mut bytes = [0; TRAILER_LENGTH];
         if self.ahead.is_some() {
-            return Err("there are more records than there should be".to_owned());
+            return Err("there are more records than there should be".into());
         }
-        self.reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+        self.reader.read_exact(&mut bytes)?;
         let trailer = Trailer::decode(&bytes).ok_or("its end is not valid")?;
         if trailer.total_crc != self.total_crc || trailer.records != self.records {
-            return Err("its end does not fit what is before it".to_owned());
+            return Err("its end does not fit what is before it".into());
         }
         match self.reader.read(&mut [0; 1]) {
             Ok(0) => Ok(trailer),
-            Ok(_) => Err("something follows its end".to_owned()),
-            Err(error) => Err(unreadable(&error)),
+            Ok(_) => Err("something follows its end".into()),
+            Err(error) => Err(error.into()),
         }
     }
 }
 
 /// Reads a whole file and compares it with the checksum in its trailer; gives its length and that checksum.
-pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), String> {
+pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), ReadFailure> {
     check_total_paced(disk, path, &mut |_| true)
 }
 
@@ -238,34 +236,34 @@ pub(crate) fn check_total_paced(
     disk: &dyn Disk,
     path: &Path,
     pace: &mut dyn FnMut(u64) -> bool,
-) -> Result<(u64, u32), String> {
-    let length = disk.length(path).map_err(|error| unreadable(&error))?;
+) -> Result<(u64, u32), ReadFailure> {
+    let length = disk.length(path)?;
     let body = length.checked_sub(TRAILER_LENGTH as u64).ok_or("it is cut off")?;
-    let mut reader = disk.read(path).map_err(|error| unreadable(&error))?;
+    let mut reader = disk.read(path)?;
     let (mut crc, mut buffer) = (0, Vec::new());
     let mut rest = body;
     while rest > 0 {
         buffer.resize(rest.min(CHECK_BYTES) as usize, 0);
         if !pace(buffer.len() as u64) {
-            return Err("it was not read to its end".to_owned());
+            return Err("it was not read to its end".into());
         }
-        reader.read_exact(&mut buffer).map_err(|error| unreadable(&error))?;
+        reader.read_exact(&mut buffer)?;
         crc = crc32c::crc32c_append(crc, &buffer);
         rest -= buffer.len() as u64;
     }
     let mut bytes = [0; TRAILER_LENGTH];
-    reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+    reader.read_exact(&mut bytes)?;
     let trailer = Trailer::decode(&bytes).ok_or("its end is not valid")?;
-    if trailer.total_crc == crc { Ok((length, crc)) } else { Err("its checksum does not match".to_owned()) }
+    if trailer.total_crc == crc { Ok((length, crc)) } else { Err("its checksum does not match".into()) }
 }
 
 /// Bytes that are checked at a time.
 const CHECK_BYTES: u64 = 256 << 10;
 
 /// The mark and the bytes of a piece of a long record.
-fn split_piece(payload: &[u8]) -> Result<(u8, &[u8]), String> {
+fn split_piece(payload: &[u8]) -> Result<(u8, &[u8]), ReadFailure> {
     match payload.split_first() {
         Some((&mark @ (LAST | MORE_FOLLOW), piece)) => Ok((mark, piece)),
-        _ => Err("a piece of a long record is not valid".to_owned()),
+        _ => Err("a piece of a long record is not valid".into()),
     }
 }

@@ -103,7 +103,7 @@ impl Round<'_> {
     /// Checks a file of records; gives its length and checksum.
     fn total(&mut self, file: &Path) -> Result<(u64, u32), String> {
         let disk = &*self.store.disk;
-        check_total_paced(disk, file, &mut |bytes| self.pace(bytes))
+        Ok(check_total_paced(disk, file, &mut |bytes| self.pace(bytes))?)
     }
 
     fn history(&mut self, map: MapId) -> Result<(), Ended> {
@@ -265,7 +265,7 @@ impl Round<'_> {
             return Err(Ended);
         }
         let checked = self.store.index().check(map.0);
-        let problem = checked.err().map(|damage| format!("the rows of map number {}: {damage}", map.0));
+        let problem = checked.err().map(|failure| format!("the rows of map number {}: {failure}", map.0));
         self.tell(&PathBuf::from(format!("index/{}", map.0)), problem);
         Ok(())
     }

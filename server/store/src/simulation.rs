@@ -40,7 +40,7 @@ pub fn open(disk: &SimulatedDisk, options: StoreOptions) -> Result<Store, OpenEr
         is_new: false,
         index: Index::none(),
         committer: Arc::default(),
-        reports: Vec::new(),
+        repairs: Vec::new(),
         lock: None,
     })
 }

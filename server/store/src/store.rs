@@ -18,7 +18,7 @@ use crate::{
     checkpoint::{Checkpoints, spectra},
     committer::{CommitFollower, Committer, SyncStats},
     disk::Disk,
-    error::{AppendError, HistoryError, OpenError, Report, StoreError, store_io},
+    error::{AppendError, HistoryError, OpenError, Repair, StoreError, store_io},
     folders,
     history::History,
     index::Index,
@@ -33,10 +33,11 @@ use crate::{
 pub(crate) mod catalogue;
 mod contents;
 mod erase;
+pub(crate) mod index_repair;
 pub(crate) mod lists;
 pub(crate) mod map_copy;
 pub(crate) mod open;
-mod open_map;
+pub(crate) mod open_map;
 mod save;
 
 pub use catalogue::SetAside;
@@ -60,7 +61,7 @@ pub(crate) struct OpenStore {
     options: StoreOptions,
     store_id: String,
     is_new: bool,
-    reports: Vec<Report>,
+    repairs: Vec<Repair>,
     /// Held for a look-up, and while a map is created so that no two maps get the same number.
     maps: Mutex<Maps>,
     /// Held while the index is read or written: by opening, saving and deleting maps, never by appends.
@@ -133,13 +134,13 @@ pub struct OpenedMap {
     /// The events from the snapshot's `replay_from` to the end of the log.
     pub replay: Replay,
     /// What was repaired.
-    pub reports: Vec<Report>,
+    pub repairs: Vec<Repair>,
 }
 
 impl fmt::Debug for OpenedMap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut shown = f.debug_struct("OpenedMap");
-        shown.field("source", &self.source).field("reports", &self.reports).finish_non_exhaustive()
+        shown.field("source", &self.source).field("repairs", &self.repairs).finish_non_exhaustive()
     }
 }
 
@@ -272,9 +273,9 @@ impl Store {
     #[must_use]
     pub fn published(&self, map: MapId, spec: &MapSpec) -> Option<MapSnapshot> {
         let read = self.inner.index().read(map.0, spec);
-        read.unwrap_or_else(|damage| {
+        read.unwrap_or_else(|failure| {
             // Opening the map repairs it.
-            tracing::debug!(map = map.0, damage, "the index does not tell what a map publishes");
+            tracing::debug!(map = map.0, %failure, "the index does not contain what a map publishes");
             None
         })
     }
@@ -309,8 +310,8 @@ impl Store {
     }
 
     /// What was repaired when the store was opened.
-    pub fn reports(&self) -> &[Report] {
-        &self.inner.reports
+    pub fn repairs(&self) -> &[Repair] {
+        &self.inner.repairs
     }
 
     /// What is wrong with the storage now. Does not wait for the disk.

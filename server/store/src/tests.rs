@@ -28,6 +28,7 @@ mod landmarks;
 mod life;
 mod losses;
 mod missing;
+mod refused;
 mod round_trip;
 mod scans;
 mod scrubs;
@@ -36,6 +37,7 @@ mod spectra;
 mod tasks;
 mod torn_tail;
 mod traversals;
+mod verdicts;
 
 /// Whether slow tests run in full, as `make durability` does, and not in their short versions.
 pub(crate) fn is_full() -> bool {

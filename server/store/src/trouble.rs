@@ -7,10 +7,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
     path::{Path, PathBuf},
-    sync::{
-        Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -31,8 +28,8 @@ pub enum Trouble {
         /// Why.
         reason: String,
     },
-    /// There is no index. A start takes longer.
-    NoIndex,
+    /// There is no index for this reason. It is tried again; a start takes longer meanwhile.
+    NoIndex(String),
     /// A list of what must exist was lost before the start, and it is not proven that all is there. What it covers is
     /// refused.
     ListLost {
@@ -70,7 +67,11 @@ impl fmt::Display for Trouble {
                      run tidemapd check, which says what is lost and how to go on without"
                 )
             }
-            Trouble::NoIndex => write!(f, "the index cannot be written: the next start takes longer and repairs it"),
+            Trouble::NoIndex(reason) => write!(
+                f,
+                "the index cannot be used: {reason}. Maps are served from checkpoints and logs, and it is tried again \
+                 every minute: free some space, or check the disk and the permissions of the folder index"
+            ),
         }
     }
 }
@@ -80,7 +81,7 @@ impl fmt::Display for Trouble {
 pub(crate) struct Watch {
     full_since: Mutex<Option<Instant>>,
     not_saved: Mutex<BTreeMap<MapId, String>>,
-    has_no_index: AtomicBool,
+    no_index: Mutex<Option<String>>,
     damaged: Mutex<BTreeMap<PathBuf, String>>,
     lost: Mutex<BTreeMap<PathBuf, String>>,
 }
@@ -100,9 +101,9 @@ impl Watch {
         };
     }
 
-    /// The index is available, or not.
-    pub(crate) fn indexed(&self, is_available: bool) {
-        self.has_no_index.store(!is_available, Ordering::Relaxed);
+    /// The index is available, or not for this reason.
+    pub(crate) fn indexed(&self, failure: Option<String>) {
+        *self.no_index.lock().unwrap_or_else(PoisonError::into_inner) = failure;
     }
 
     /// Lists that are lost, with what is wrong with them.
@@ -136,12 +137,11 @@ impl Watch {
         let is_full = full_since.is_some_and(|since| since.elapsed() < FULL_FOR);
         let not_saved = self.not_saved.lock().unwrap_or_else(PoisonError::into_inner);
         let not_saved = not_saved.iter().map(|(&map, reason)| Trouble::NotSaved { map, reason: reason.clone() });
-        let has_no_index = self.has_no_index.load(Ordering::Relaxed);
         let full = is_full.then_some(Trouble::DiskFull);
         let damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
         let damaged = damaged.iter();
         let damaged = damaged.map(|(file, problem)| Trouble::Damaged { file: file.clone(), problem: problem.clone() });
-        let index = has_no_index.then_some(Trouble::NoIndex);
+        let index = self.no_index.lock().unwrap_or_else(PoisonError::into_inner).clone().map(Trouble::NoIndex);
         let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
         let lost = lost.iter();
         let lost = lost.map(|(file, problem)| Trouble::ListLost { file: file.clone(), problem: problem.clone() });
@@ -159,12 +159,12 @@ mod tests {
         assert_eq!(watch.trouble(), []);
         watch.appended(true);
         watch.saved(MapId(3), Some("the disk is full".to_owned()));
-        watch.indexed(false);
+        watch.indexed(Some("no space left".to_owned()));
         let not_saved = Trouble::NotSaved { map: MapId(3), reason: "the disk is full".to_owned() };
-        assert_eq!(watch.trouble(), [Trouble::DiskFull, not_saved, Trouble::NoIndex]);
+        assert_eq!(watch.trouble(), [Trouble::DiskFull, not_saved, Trouble::NoIndex("no space left".to_owned())]);
         watch.appended(false);
         watch.saved(MapId(3), None);
-        watch.indexed(true);
+        watch.indexed(None);
         assert_eq!(watch.trouble(), []);
     }
 }

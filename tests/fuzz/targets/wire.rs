@@ -7,9 +7,9 @@ use tidemap_grid::spec::GridSpec;
 use tidemap_proto::{
     bounds,
     convert::{
-        anomaly, cells, columns, exploration, map, query, route,
+        anomaly, cells, columns, exploration, map, query, reports, route,
         scans::{ScanDecoder, ScanLimits, scans_from_wire},
-        search, sightings, site, topology, traversals, vectors,
+        search, site, topology, vectors,
     },
     v1,
 };
@@ -36,16 +36,7 @@ fn observe(request: v1::ObserveRequest) {
                 while let Ok(Some(_)) = decoder.next_scan() {}
             }
         }
-        Some(Up::Traversals(batch)) => {
-            for traversal in &batch.traversals {
-                let _ = traversals::traversal_from_wire(traversal);
-            }
-        }
-        Some(Up::Sightings(batch)) => {
-            for sighting in &batch.sightings {
-                let _ = sightings::sighting_from_wire(sighting);
-            }
-        }
+        Some(Up::Reports(batch)) => drop(reports::reports_from_wire(&batch)),
         Some(Up::Hello(_) | Up::Alive(_)) | None => {}
     }
 }

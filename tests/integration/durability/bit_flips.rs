@@ -18,11 +18,15 @@ use tidemap_tests::{
     herd::{Herd, Manner},
     oracle::{Oracle, producer_name, run_update, settled},
     rounds,
+    stored_kinds::{self, StoredKinds},
 };
 
 use super::create_map;
 
 const PRODUCERS: usize = 3;
+
+/// What the log reports of an end that was cut off.
+const IS_CUT: [&str; 2] = ["had not been written whole", "records that were there may have been acknowledged"];
 
 /// The kind of a file; bits are flipped equally often in each kind.
 fn kind(file: &Path) -> Option<&'static str> {
@@ -45,7 +49,12 @@ async fn fill(data: &Path) {
     let mut oracle = Oracle::new("office", Feed::new(77), PRODUCERS);
     let mut daemon = launch.start();
     create_map(&daemon, &oracle).await;
+    let mut kinds = StoredKinds::create(&daemon);
     for until in [1_200, 2_400] {
+        let senders = kinds.start(&daemon.client(), until / 8);
+        kinds.settle(senders).await;
+        assert_eq!(kinds.acknowledged(), [until / 8; 6]);
+        run_update(&daemon.client(), stored_kinds::MAP, None).await;
         let manner = Manner { until, nightly: true, ..Manner::default() };
         assert_eq!(Herd::start(&daemon.client(), &oracle, manner, until).settle(&mut oracle).await, []);
         run_update(&daemon.client(), "office", None).await;
@@ -53,6 +62,9 @@ async fn fill(data: &Path) {
         daemon = launch.start();
     }
     let tail = Manner { until: 2_700, ..Manner::default() };
+    let senders = kinds.start(&daemon.client(), 320);
+    kinds.settle(senders).await;
+    assert_eq!(kinds.acknowledged(), [320; 6]);
     assert_eq!(Herd::start(&daemon.client(), &oracle, tail, 3).settle(&mut oracle).await, []);
     daemon.stop_in_order();
 }
@@ -100,8 +112,8 @@ fn harm(harm: Harm, file: &Path, random: &mut SmallRng) -> String {
     }
 }
 
-async fn history(client: &Client, state: &str) -> Result<String, Error> {
-    let mut rows = client.reconstruct("office", state, 0, i64::MAX).await?;
+async fn history(client: &Client, map: &str, state: &str) -> Result<String, Error> {
+    let mut rows = client.reconstruct(map, state, 0, i64::MAX).await?;
     let mut text = String::new();
     while let Some(row) = rows.next().await? {
         text += &format!("{row:?}");
@@ -109,13 +121,22 @@ async fn history(client: &Client, state: &str) -> Result<String, Error> {
     Ok(text)
 }
 
+/// The states, or the labels of categorical states, with their maps.
+async fn states(client: &Client) -> Vec<(String, String)> {
+    let mut all = Vec::new();
+    for map in ["office", stored_kinds::MAP] {
+        let (states, _) = client.states(map, "").await.expect("the map is there");
+        all.extend(states.iter().flat_map(stored_kinds::parts).map(|part| (map.to_owned(), part)));
+    }
+    all
+}
+
 /// The history of every state, one line each; an error is a line that says so.
 async fn histories(daemon: &Daemon) -> Vec<String> {
     let client = daemon.client();
-    let (states, _) = client.states("office", "").await.expect("the map is there");
     let mut lines = Vec::new();
-    for state in states {
-        lines.push(history(&client, &state.name).await.unwrap_or_else(|error| {
+    for (map, state) in states(&client).await {
+        lines.push(history(&client, &map, &state).await.unwrap_or_else(|error| {
             assert_eq!(error.code(), Some(tonic::Code::DataLoss), "{error}");
             "DATA_LOSS".to_owned()
         }));
@@ -199,7 +220,7 @@ impl Sound {
         assert!(!log.contains("panicked"), "{what}: {log}");
         // A cut or zeroed end of the log cannot be told from a write that a power cut has torn: it is cut off, in
         // words.
-        let is_torn = kind == "log" && how != Harm::FlippedBit && log.contains("had not been written whole");
+        let is_torn = kind == "log" && how != Harm::FlippedBit && IS_CUT.iter().any(|words| log.contains(words));
         if is_torn {
             return Outcome::Reported;
         }

@@ -1,6 +1,10 @@
 //! A disk that becomes full while the daemon runs.
 
-use std::{fs, path::Path, time::Duration};
+use std::{
+    fs,
+    path::Path,
+    time::{Duration, Instant},
+};
 
 use tempfile::tempdir;
 use tidemap_client::{maps::NewMap, observe::ProducerError};
@@ -20,6 +24,9 @@ use super::{PRODUCERS, create_map};
 const DISK_BYTES: u64 = 24 << 20;
 /// Free bytes for the daemon's log while the ballast exists.
 const LEFT_BYTES: u64 = 768 << 10;
+
+/// The index is tried again once a minute or more often; beyond this it is never opened.
+const RECOVERED_WITHIN: Duration = Duration::from_secs(180);
 
 /// Fills the disk up to `free` bytes. The daemon may be saving meanwhile: if it has taken the space that was free
 /// a moment ago, the free space is measured again.
@@ -107,6 +114,56 @@ async fn durability_a_disk_that_gets_full_again_and_again_loses_nothing() {
             oracle.verify(&daemon, true).await.unwrap_or_else(what);
         }
     }
+}
+
+/// The figure of the index, as Prometheus reads it.
+fn is_index_unavailable(daemon: &Daemon) -> bool {
+    let metrics = request(&daemon.http, "GET", "/metrics", &[], b"").text();
+    let value = metrics.lines().find_map(|line| line.strip_prefix("tidemap_index_unavailable "));
+    value.expect("a figure of the index") == "1"
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_a_start_on_a_full_disk_keeps_the_index_and_opens_it_when_there_is_room() {
+    let work = tempdir().expect("a folder");
+    let disk = match small_disk(&work.path().join("disk"), DISK_BYTES) {
+        Ok(disk) => disk,
+        Err(Unavailable(reason)) => return println!("SKIPPED: {reason}"),
+    };
+    let (ballast, data) = (disk.folder().join("ballast"), disk.folder().join("data"));
+    let launch = Launch::on(&data);
+    let daemon = launch.start();
+    let mut oracle = Oracle::new("office", Feed::new(17), PRODUCERS);
+    create_map(&daemon, &oracle).await;
+    let some = Manner { until: 500, ..Manner::default() };
+    assert_eq!(Herd::start(&daemon.client(), &oracle, some, 1).settle(&mut oracle).await, []);
+    run_update(&daemon.client(), "office", None).await;
+    daemon.stop_in_order();
+
+    fill(&ballast, 0);
+    let daemon = launch.start();
+    assert!(!data.join("index.damaged-1").exists(), "a sound index is set aside:\n{}", daemon.process().stderr());
+    assert!(daemon.process().stderr().contains("continuing without the index"), "{}", daemon.process().stderr());
+    let readiness = request(&daemon.http, "GET", "/readyz", &[], b"");
+    assert_eq!(readiness.code, 200, "{}", readiness.text());
+    assert!(readiness.text().contains("the index cannot be used: No space left"), "{}", readiness.text());
+    assert!(is_index_unavailable(&daemon));
+    // The map is served from its checkpoint and its log.
+    oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
+
+    fs::remove_file(&ballast).expect("the ballast");
+    let since = Instant::now();
+    while is_index_unavailable(&daemon) {
+        assert!(since.elapsed() < RECOVERED_WITHIN, "the index is not opened:\n{}", daemon.process().stderr());
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    assert!(!data.join("index.damaged-1").exists(), "{}", daemon.process().stderr());
+    let readiness = request(&daemon.http, "GET", "/readyz", &[], b"").text();
+    assert!(!readiness.contains("index"), "{readiness}");
+    daemon.stop_in_order();
+    let daemon = launch.start();
+    assert!(!daemon.process().stderr().contains("rebuilt the index"), "{}", daemon.process().stderr());
+    oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
 }
 
 /// A command fails while the disk is full; repeated as it is, it continues when the disk is not full. Frees the disk.

@@ -11,6 +11,7 @@ use tidemap_tests::{
     herd::{Herd, Manner},
     oracle::{Oracle, Violation},
     rounds,
+    stored_kinds::{self, StoredKinds},
 };
 use tokio::task::JoinHandle;
 
@@ -85,6 +86,35 @@ async fn durability_kill_while_updates_run_and_are_saved() {
     let rounds = Rounds { count: rounds::count("TIDEMAP_KILL_ROUNDS", 5), updates: true };
     let result = rounds_of_kills(&launch(data.path()), rounds, seed).await;
     result.unwrap_or_else(|violation| panic!("{violation}"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_kill_while_labels_changes_sightings_tasks_and_plans_are_stored() {
+    let seed = rounds::seed("durability_kill_while_labels_changes_sightings_tasks_and_plans_are_stored");
+    let mut random = rounds::draws(seed);
+    let (data, sound) = (tempdir().expect("a folder"), tempdir().expect("a folder"));
+    let (launch, reference) = (launch(data.path()), Launch::on(sound.path()).start());
+    let mut daemon = launch.start();
+    StoredKinds::create(&reference);
+    let mut kinds = StoredKinds::create(&daemon);
+    for round in 0..rounds::count("TIDEMAP_KILL_ROUNDS", 5) {
+        let before = kinds.acknowledged();
+        let senders = kinds.start(&daemon.client(), u64::MAX);
+        let updates = ask_for_updates(daemon.client(), stored_kinds::MAP.to_owned());
+        tokio::time::sleep(Duration::from_millis(random.random_range(300..1_500))).await;
+        let exit = daemon.kill();
+        assert!(!exit.stderr.contains("panicked"), "{exit}");
+        kinds.settle(senders).await;
+        updates.abort();
+        let acknowledged = kinds.acknowledged();
+        println!("round {round}: {acknowledged:?} acknowledged");
+        assert!(acknowledged.iter().sum::<u64>() > before.iter().sum(), "round {round}: nothing was acknowledged");
+        daemon = launch.start();
+        kinds.verify(&daemon, &reference).await.unwrap_or_else(|violation| panic!("round {round}: {violation}"));
+    }
+    let log = daemon.stop_in_order();
+    assert!(!log.contains("panicked"), "{log}");
+    kinds.verify(&launch.start(), &reference).await.unwrap_or_else(|violation| panic!("{violation}"));
 }
 
 /// Starts the daemon and kills it before it is ready.

@@ -4,13 +4,16 @@
 use std::{
     fs,
     path::{Path, PathBuf},
+    process::Command,
     time::Duration,
 };
 
 use serde_json::json;
 use tempfile::tempdir;
 use tidemap_tests::{
+    binaries::tidemapd,
     daemon::{Daemon, Launch},
+    disk,
     stream::{RawStream, columns, hello},
     web::{call, request},
 };
@@ -146,4 +149,36 @@ async fn a_job_whose_generation_cannot_be_saved_says_so() {
     assert!(job.save_error.contains("checkpoints"), "{job:?}");
     let readiness = request(&daemon.http, "GET", "/readyz", &[], b"");
     assert_eq!(readiness.code, 503, "{}", readiness.text());
+}
+
+/// Maps that a check of a folder finds fault with, and what it prints.
+fn checked(data: &Path) -> (Vec<String>, String) {
+    let output = Command::new(tidemapd()).arg("check").arg(data).output().expect("runs");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let maps = text.lines().filter_map(|line| line.strip_prefix("maps/")?.get(..8).map(str::to_owned));
+    let maps: Vec<String> = maps.collect();
+    assert_eq!(output.status.success(), maps.is_empty(), "{text}");
+    (maps, text)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_check_finds_each_map_that_a_start_sets_aside_and_no_other() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    // The events of the first folder fit no map in part: their layouts are tested, not their sense.
+    for (folder, unavailable) in [
+        ("../server/store/src/tests/golden/format-1", vec!["00000001"]),
+        ("integration/lifecycle/data_of_format_1", vec![]),
+    ] {
+        let data = tempdir().expect("a folder");
+        disk::copy_folder(&here.join(folder), data.path());
+        // A loss that was accepted is no finding.
+        let _ = fs::remove_file(data.path().join("LOSSES"));
+        let (found, text) = checked(data.path());
+        assert_eq!(found, unavailable, "{folder}: {text}");
+        assert!(found.is_empty() || text.contains("does not fit the map"), "{folder}: {text}");
+        let daemon = Launch::on(data.path()).setting("update_at_midnight", false).start();
+        let set_aside = daemon.client().all_maps().await.expect("listed").1;
+        assert_eq!(set_aside.len(), unavailable.len(), "{folder}: {set_aside:?}");
+        daemon.stop_in_order();
+    }
 }

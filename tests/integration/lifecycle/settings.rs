@@ -73,6 +73,11 @@ fn wrong_settings_are_named_and_nothing_is_created() {
         (launch().setting("segment_bytes", 1), "segment_bytes"),
         (launch().setting("max_states_per_map", "some"), "MAX_STATES_PER_MAP"),
         (launch().setting("log_level", "tidemapd=loud"), "log_level"),
+        (launch().setting("log_level", "inf"), "log_level"),
+        (config("4.toml", "log_level = 'inf'"), "log_level"),
+        (launch().args(["--log-level", "inf"]), "log_level"),
+        (launch().args(["--log-level", "inf", "config"]), "log_level"),
+        (launch().setting("http_hosts", "[\"http://maps.example.org\"]"), "http_hosts"),
         (launch().args(["--listen", "here"]), "listen"),
         (launch().args(["--http-listen", "127.0.0.1:http"]), "http_listen"),
     ];
@@ -135,4 +140,12 @@ fn a_data_folder_that_cannot_be_made_is_named() {
     assert_eq!(exit.code(), Some(65), "{exit}");
     assert!(exit.stderr.contains("file"), "{exit}");
     assert!(!exit.stderr.contains("panicked"), "{exit}");
+}
+
+#[test]
+fn a_new_data_folder_gives_no_warning() {
+    let work = tempdir().expect("a folder");
+    let log = Launch::on(&work.path().join("data")).start().stop_in_order();
+    assert!(log.contains("new data folder") && log.contains("expect_store_id"), "{log}");
+    assert!(!log.contains("WARN") && !log.contains("ERROR"), "{log}");
 }

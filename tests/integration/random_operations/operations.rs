@@ -328,6 +328,10 @@ impl World {
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
                 let mut runs = client.predict(name, vec![state.clone()], times.clone(), selector);
                 let run = runs.next().await.expect("the state is there").expect("predictions");
+                // After enough days an ensemble answers.
+                if kind == ModelKind::Auto && run.answered_by.is_some_and(|by| by.kind != ModelKind::Spectral) {
+                    continue;
+                }
                 let order = order.unwrap_or(model.order as usize);
                 for (&nanos, &found) in times.iter().zip(&run.probabilities) {
                     let used = &components[..order.min(components.len())];

@@ -6,7 +6,6 @@ use std::{
     net::TcpStream,
     os::unix::fs::PermissionsExt as _,
     path::Path,
-    sync::Arc,
     time::Duration,
 };
 
@@ -14,21 +13,13 @@ use rustix::process::Signal;
 use tempfile::tempdir;
 use tidemap_client::Error;
 use tidemap_tests::{
-    certificates::{Authority, Pair, Validity, private_file},
+    certificates::{Authority, Pair, Purpose, Validity, private_file},
     cli,
     daemon::Launch,
     tokens::Tokens,
 };
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio_rustls::{
-    TlsConnector,
-    rustls::{
-        ClientConfig, RootCertStore, SupportedProtocolVersion,
-        crypto::ring,
-        pki_types::{CertificateDer, ServerName, pem::PemObject as _},
-        version,
-    },
-};
+use tokio_rustls::rustls::{SupportedProtocolVersion, pki_types::ServerName, version};
 
 use super::{eventually, metrics};
 
@@ -45,15 +36,8 @@ async fn connect(
     authority: &Authority,
     version: &'static SupportedProtocolVersion,
 ) -> std::io::Result<tokio_rustls::client::TlsStream<tokio::net::TcpStream>> {
-    let mut roots = RootCertStore::empty();
-    roots.add(CertificateDer::from_pem_slice(authority.pem().as_bytes()).expect("PEM")).expect("a certificate");
-    let builder = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()));
-    let builder = builder.with_protocol_versions(&[version]).expect("a version");
-    let mut config = builder.with_root_certificates(roots).with_no_client_auth();
-    config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
     let socket = tokio::net::TcpStream::connect(address).await?;
-    let name = ServerName::try_from("localhost").expect("a name");
-    TlsConnector::from(Arc::new(config)).connect(name, socket).await
+    authority.connector(version).connect(ServerName::try_from("localhost").expect("a name"), socket).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -93,17 +77,15 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     for (what, pair) in [("none", None), ("foreign", Some(&foreign)), ("ended", Some(&ended))] {
         authority.client(&daemon, pair, None).maps().await.expect_err(what);
     }
-    // The alert may be lost when the connection breaks, but not always.
     let (trusted, server) =
         (private_file(&work.path().join("ca.pem"), authority.pem()), format!("https://{}", daemon.grpc));
-    let (mut said, trusted) = (String::new(), trusted.display().to_string());
-    eventually("the command line says what is missing", async || {
+    let trusted = trusted.display().to_string();
+    for number in 0..40 {
         let listed = cli::command(&server, ["--tls-ca", &trusted, "map", "list"]).output().expect("tidemap runs");
-        said = String::from_utf8_lossy(&listed.stderr).into_owned();
-        said.contains("--tls-cert") && said.contains("asks for a certificate of the client")
-    })
-    .await;
-    assert!(!said.contains("no daemon answers"), "{said}");
+        let said = String::from_utf8_lossy(&listed.stderr).into_owned();
+        let is_told = said.contains("--tls-cert") && said.contains("asks for a certificate of the client");
+        assert!(is_told, "try {number}: {said}");
+    }
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
     let log = daemon.stop_in_order();
     let line = log.lines().find(|line| line.contains("a TLS handshake failed")).expect("failures are logged");
@@ -153,9 +135,17 @@ async fn a_certificate_that_clients_would_not_take_never_replaces_one_that_they_
             .await;
         authority.client(&daemon, None, None).maps().await.expect("the certificate before stays");
     };
+    let (names, other) = (["localhost", "127.0.0.1"], Authority::new("theirs"));
+    let signed = |names: &[&str], purpose| authority.sign_for(Validity::Years, names, purpose);
     // The file of the certificate last: the pair fits together when it is looked at.
-    for (validity, words) in [(Validity::Ended, "has expired"), (Validity::NotYet, "is not valid before 2120")] {
-        let next = authority.sign(validity);
+    for (next, words) in [
+        (authority.sign(Validity::Ended), "has expired"),
+        (authority.sign(Validity::NotYet), "is not valid before 2120"),
+        (signed(&names, Purpose::Clients), "does not have serverAuth"),
+        (signed(&[], Purpose::Both), "names no host"),
+        (signed(&["maps.example.org"], Purpose::Both), "is for maps.example.org, and the one in use for localhost"),
+        (authority.sign(Validity::Years).with(&other), "is signed by none of those behind it"),
+    ] {
         daemon.process().signal(Signal::STOP);
         let _ = next.write(work.path());
         daemon.process().signal(Signal::CONT);
@@ -175,6 +165,32 @@ async fn a_certificate_that_clients_would_not_take_never_replaces_one_that_they_
     })
     .await;
     authority.client(&daemon, None, None).maps().await.expect("served");
+    daemon.stop_in_order();
+}
+
+/// A certificate of an authority below the one that clients know: without that authority's own they cannot check it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_certificate_without_its_issuer_does_not_replace_one_that_has_it() {
+    let work = tempdir().expect("a folder");
+    let root = Authority::new("root");
+    let issuer = root.below("issuer");
+    let daemon = launch(work.path(), &issuer.sign(Validity::Years).with(&issuer)).start();
+    root.client(&daemon, None, None).maps().await.expect("served");
+    let put = |pair: &Pair| {
+        daemon.process().signal(Signal::STOP);
+        let _ = pair.write(work.path());
+        daemon.process().signal(Signal::CONT);
+    };
+    put(&issuer.sign(Validity::Years));
+    eventually("a refusal", async || daemon.process().stderr().contains("lacks the certificate of its issuer")).await;
+    root.client(&daemon, None, None).maps().await.expect("the certificate before stays");
+    // One name less, and by a wildcard; the issuer is there again.
+    put(&issuer.sign_for(Validity::Years, &["localhost", "*.example.org"], Purpose::Both).with(&issuer));
+    eventually("the next", async || metrics(&daemon).contains("tidemap_reloads_total{what=\"certificates\"} 1")).await;
+    let lost = "the new certificate is not for 127.0.0.1, as the one before was";
+    assert!(daemon.process().stderr().contains(lost), "{}", daemon.process().stderr());
+    put(&issuer.sign_for(Validity::Years, &["maps.example.org"], Purpose::Both).with(&issuer));
+    eventually("the last", async || metrics(&daemon).contains("tidemap_reloads_total{what=\"certificates\"} 2")).await;
     daemon.stop_in_order();
 }
 
@@ -240,9 +256,17 @@ fn wrong_files_are_named_before_anything_is_created() {
         let secret = pair.key.lines().nth(1).expect("a line of the key");
         assert!(!exit.stderr.contains(secret) && !data.exists(), "{exit}");
     }
-    let ended = Authority::new("ours").sign(Validity::Ended);
-    let exit = launch(work.path(), &ended).try_start().expect_err("expired");
-    assert!(exit.code() == Some(78) && exit.stderr.contains("expired, it was valid until 2020"), "{exit}");
+    let ours = Authority::new("ours");
+    let signed = |names: &[&str], purpose| ours.sign_for(Validity::Years, names, purpose);
+    for (pair, words) in [
+        (ours.sign(Validity::Ended), "expired, it was valid until 2020"),
+        (signed(&["localhost"], Purpose::Clients), "is not for servers"),
+        (signed(&[], Purpose::Both), "names no host"),
+        (ours.sign(Validity::Years).with(&Authority::new("theirs")), "is signed by none of those behind it"),
+    ] {
+        let exit = launch(work.path(), &pair).try_start().expect_err(words);
+        assert!(exit.code() == Some(78) && exit.stderr.contains(words), "{words}: {exit}");
+    }
     for (mode, is_fine) in [(0o604, false), (0o606, false), (0o640, true)] {
         let launch = launch(work.path(), &pair);
         fs::set_permissions(work.path().join("daemon.key"), fs::Permissions::from_mode(mode)).expect("permissions");

@@ -8,7 +8,11 @@ use std::{
 };
 
 use tempfile::tempdir;
-use tidemap_client::{Client, Error, maps::NewMap};
+use tidemap_client::{
+    Client, Error,
+    classify::{ClassifyRequest, LearnAs, Learning},
+    maps::NewMap,
+};
 use tidemap_tests::{
     certificates::private_file,
     cli,
@@ -47,9 +51,8 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         "SetNoGo" | "DeleteNoGo" | "SetTask" | "RemoveTask" | "KeepPlan" | "AddLandmarks" | "RemoveLandmarks" => {
             &["operator", "admin"]
         }
-        "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
-            &["operator", "admin"]
-        }
+        "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate"
+        | "ForgetProducer" => &["operator", "admin"],
         "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" | "ReadFork" => &["admin"],
         // They act on all maps, and none of these tokens is for all.
         "CreateBackup" | "Drain" | "ForgetMember" => &[],
@@ -212,6 +215,51 @@ async fn a_token_sends_as_its_producers_only() {
         assert_eq!(refused.code(), expected, "{producer:?}: {refused}");
     }
     assert_eq!(client(&daemon, &all).map("office").await.expect("the map").observations, 3);
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_classification_that_may_not_be_learned_adds_no_state() {
+    let work = tempdir().expect("a folder");
+    let tokens = Tokens::of(work.path());
+    let all = tokens.create(&["admin"], &[]);
+    let planner = tokens.create(&["planner"], &[]);
+    let made = tokens.run(&["create", "--role", "observer", "--role", "planner", "--producer", "robot-7"]);
+    let own = String::from_utf8(made.stdout).expect("text").trim().to_owned();
+    let daemon = launch(work.path(), &tokens).start();
+    let admin = client(&daemon, &all);
+    create_map(&admin, "office").await;
+    let labels = ["sleep", "work"].map(str::to_owned).to_vec();
+    admin.add_categorical("office", "activity", &labels).await.expect("a state");
+    let classify = async |token: &str, producer: &str, place: &str| {
+        let request = ClassifyRequest {
+            state: "activity".to_owned(),
+            likelihoods: vec![("work".to_owned(), 1.0)],
+            place: Some(place.to_owned()),
+            learn: Some(LearnAs {
+                what: Learning::Label,
+                producer: producer.to_owned(),
+                label: "seen".to_owned(),
+                first_sequence: None,
+            }),
+            ..ClassifyRequest::default()
+        };
+        client(&daemon, token).classify("office", request).await
+    };
+    for (token, producer, expected) in [
+        (&own, "robot-8", Code::PermissionDenied),
+        (&planner, "robot-7", Code::PermissionDenied),
+        (&own, "", Code::InvalidArgument),
+    ] {
+        let refused = classify(token, producer, "desk").await.expect_err("not as this producer");
+        assert_eq!(refused.code(), Some(expected), "{producer:?}: {refused}");
+    }
+    let states = async || -> Vec<String> {
+        admin.states("office", "").await.expect("states").0.into_iter().map(|state| state.name).collect()
+    };
+    assert_eq!(states().await, ["activity"], "what was refused added nothing");
+    classify(&own, "robot-7", "desk").await.expect("its own name");
+    assert_eq!(states().await, ["activity", "activity@desk"]);
     daemon.stop_in_order();
 }
 

@@ -21,6 +21,8 @@ use tidemap_tests::{
     web::{Answer, call, request},
 };
 
+mod turns;
+
 /// A Monday, UTC.
 const START_NANOS: i64 = 1_736_121_600 * SECOND_NANOS;
 const SECOND_NANOS: i64 = 1_000_000_000;
@@ -276,10 +278,10 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     let path = "flat/recordings/door.bag";
     let mut first = chunked(&daemon, path);
     first.write_all(b"5\r\n#ROSB\r\n").expect("a part");
-    let file = data.path().join("uploads/recording/door.bag");
+    let file = data.path().join("uploads/0/recording/door.bag");
     eventually("the file arrives", || file.exists());
     for answer in [look(&daemon, path, &[]), send(&daemon, path, &[], &door(4))] {
-        refused(&answer, 429, "BUSY", &["another recording is being imported"]);
+        refused(&answer, 429, "BUSY", &["another recording is being imported into this map"]);
     }
     drop(first);
     eventually("the file is gone", || is_empty(data.path()));

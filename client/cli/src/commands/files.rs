@@ -14,12 +14,13 @@ use anyhow::Context as _;
 use tempfile::NamedTempFile;
 
 use super::UsageError;
+use crate::output;
 
 /// What a new file may be used for, before the user's own mask is applied.
 const MODE: u32 = 0o666;
 
 /// Reads a text file, or stdin if the path is `-`.
-pub(crate) fn read_text(path: &Path) -> anyhow::Result<String> {
+pub fn read_text(path: &Path) -> anyhow::Result<String> {
     if path.as_os_str() == "-" {
         return io::read_to_string(io::stdin().lock()).context("stdin");
     }
@@ -124,7 +125,7 @@ impl DrawingArg {
     pub(crate) fn put(&self, text: impl FnOnce() -> String, svg: impl FnOnce() -> String) -> anyhow::Result<()> {
         match &self.picture {
             Some(path) if path.as_os_str() != "-" => write(path, svg()),
-            Some(_) => Ok(io::stdout().write_all(text().as_bytes())?),
+            Some(_) => Ok(output::print(&text())?),
             None => Ok(()),
         }
     }

@@ -51,7 +51,7 @@ pub(crate) async fn run(session: &Session, command: &JobCommand) -> anyhow::Resu
 }
 
 /// Watches a job until it ends.
-pub(crate) async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
+pub async fn watch(client: &Client, id: u64) -> anyhow::Result<Job> {
     let mut updates = client.watch_job(id).await?;
     let bar = Bar::count("states updated");
     let mut last = None;
@@ -74,7 +74,7 @@ fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
 }
 
 /// The error of a failed job.
-pub(crate) fn failure(job: &Job) -> String {
+pub fn failure(job: &Job) -> String {
     let of_map = if job.map.is_empty() { String::new() } else { format!(" of map {:?}", job.map) };
     format!("job {}{of_map} failed: {}", job.id, job.error)
 }

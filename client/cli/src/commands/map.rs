@@ -125,7 +125,7 @@ fn models_help() -> String {
 }
 
 /// The value of `--models`: names with commas between.
-pub(super) fn enabled_models(text: &str) -> Result<EnabledModels, String> {
+pub fn enabled_models(text: &str) -> Result<EnabledModels, String> {
     text.split(',').try_fold(EnabledModels::SPECTRAL, |models, name| {
         models.with_named(name).ok_or_else(|| {
             let names: Vec<_> = EnabledModels::ALL.names().collect();
@@ -235,7 +235,7 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
 }
 
 /// Checks that a new map has its grid: a daemon that does not support grids ignores the field.
-pub(crate) fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
+pub fn with_grid(made: Map, wanted: bool) -> anyhow::Result<Map> {
     anyhow::ensure!(
         made.grid.is_some() || !wanted,
         "map {0:?} was created without its grid: the daemon is too old for grids. Delete the map, with tidemap map \

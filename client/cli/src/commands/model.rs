@@ -2,10 +2,7 @@
 //!
 //! Invariant: values are shown as the daemon sends them; only the table adds explanations.
 
-use std::{
-    io::{self, Write as _},
-    process::ExitCode,
-};
+use std::{io, process::ExitCode};
 
 use anyhow::Context as _;
 use clap::Subcommand;
@@ -15,7 +12,7 @@ use tidemap_client::{
 };
 
 use super::{Session, files::DrawingArg};
-use crate::output::stdout;
+use crate::output::{self, stdout};
 use tidemap_formats::{
     drawing::HeatMap,
     table::{Cell, Format, TimeStyle, numbers::period, object, write_rows},
@@ -212,10 +209,12 @@ fn table(shown: &ShownModel) -> io::Result<()> {
             .collect();
     print(&["state", "mean", "n", "order", "model", "auto"], vec![row])?;
     if let Some(date) = &model.change_date {
-        writeln!(io::stdout(), "\nThe routine seems to have changed: predictions have been worse since about {date}.")?;
+        output::print(&format!(
+            "\nThe routine seems to have changed: predictions have been worse since about {date}.\n"
+        ))?;
     }
     if !model.model_errors.is_empty() {
-        writeln!(io::stdout())?;
+        output::print("\n")?;
         let row = |(tried, error): &(ModelSelector, f64)| {
             let order = Cell::maybe(tried.order.map(|order| order as u64));
             vec![Cell::Text(tried.to_string()), order, (*error).into(), Cell::Flag(tried.kind == model.chosen.kind)]
@@ -224,12 +223,11 @@ fn table(shown: &ShownModel) -> io::Result<()> {
         print(&["model", "order", "recent_error", column], model.model_errors.iter().map(row).collect())?;
     }
     if model.components.is_empty() {
-        return writeln!(
-            io::stdout(),
-            "\nNo periodic component was found: this takes observed changes over at least one period, and an update."
+        return output::print(
+            "\nNo periodic component was found: this takes observed changes over at least one period, and an update.\n",
         );
     }
-    writeln!(io::stdout())?;
+    output::print("\n")?;
     let row = |(index, component): (usize, &SpectralComponent)| {
         let cells = component_cells(component, used(model, index)).map(|(_, cell)| cell);
         [vec![Cell::Text(period(component.period_secs))], cells.to_vec()].concat()
@@ -274,5 +272,5 @@ fn json(shown: &ShownModel) -> io::Result<()> {
     };
     let errors: Vec<String> = model.model_errors.iter().map(error).collect();
     let errors = ("model_errors", format!("[{}]", errors.join(",")));
-    writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components, errors])))
+    output::print(&(object([state].into_iter().chain(summary).chain([components, errors])) + "\n"))
 }

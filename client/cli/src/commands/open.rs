@@ -14,6 +14,7 @@ use tidemap_client::{Client, Error, updates::PagePort};
 use tonic::Code;
 
 use super::{UsageError, times::time, usage};
+use crate::{output, progress::status_line};
 
 /// The HTTP port that a daemon has by default.
 const HTTP_PORT: u16 = 7436;
@@ -83,7 +84,7 @@ async fn page_of(client: &Client, map: &str) -> anyhow::Result<PagePort> {
         Ok(Some(page)) => Ok(page),
         Ok(None) => Err(usage("the daemon is too old to say where its page is: name it with --page HOST:PORT")),
         Err(Error::Server(error)) if error.code == Code::PermissionDenied => {
-            eprintln!("the token may not ask where the page is: this is the port that it has by default");
+            status_line("the token may not ask where the page is: this is the port that it has by default");
             Ok(PagePort { port: HTTP_PORT, is_loopback: false, has_tls: true, host: String::new() })
         }
         Err(error) => Err(error.into()),
@@ -126,7 +127,7 @@ pub(crate) async fn run(client: &Client, args: &OpenArgs, server: &str) -> anyho
         None => served(server, &page_of(client, map.unwrap_or_default()).await?)?,
     };
     let address = address(&page, map, args.at);
-    println!("{address}");
+    output::print(&format!("{address}\n"))?;
     if args.print {
         return Ok(ExitCode::SUCCESS);
     }
@@ -134,7 +135,8 @@ pub(crate) async fn run(client: &Client, args: &OpenArgs, server: &str) -> anyho
     let mut command = Command::new(&opener);
     command.arg(&address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     if let Err(error) = command.spawn() {
-        eprintln!("{} could not be started ({error}); open this address in a browser", opener.to_string_lossy());
+        let opener = opener.to_string_lossy();
+        status_line(&format!("{opener} could not be started ({error}); open this address in a browser"));
     }
     Ok(ExitCode::SUCCESS)
 }

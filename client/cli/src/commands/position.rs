@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 use clap::Args;
-use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
+use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader, age_nanos};
 
 use super::{Session, files::DrawingArg, times, usage};
 
@@ -160,7 +160,7 @@ fn heat_map(header: &PositionsHeader, forecast: &PositionForecast, title: String
 fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64, window: Option<i64>) -> String {
     const NANOS_PER_SEC: i64 = 1_000_000_000;
     let expected: Vec<String> = forecast.expected_m.iter().map(|coordinate| format!("{coordinate:.3}")).collect();
-    let age = header.last_nanos.map(|last| time.saturating_sub(last) / NANOS_PER_SEC);
+    let age = header.last_nanos.map(|last| age_nanos(last, time) / NANOS_PER_SEC);
     let counted = window.map(|window| {
         format!("{:.3} positions expected within {} s, ", forecast.expected_count, window / NANOS_PER_SEC)
     });

@@ -205,7 +205,7 @@ fn rows<'a>(
             Cell::maybe(run.entropies_bits.get(i).copied()),
             run.order.into(),
             run.observations.into(),
-            Cell::secs(run.last_nanos.map(|last| time.saturating_sub(last))),
+            Cell::secs(run.age_nanos(time)),
             model_cell(run),
             Cell::maybe(shows_pending.then_some(run.pending)),
             Cell::maybe(run.masses.get(i).copied()),
@@ -224,5 +224,34 @@ fn model_cell(run: &PredictionRun) -> Cell {
         Some(model) => Cell::Text(model.to_string()),
         None if is_prior(run) => "prior".into(),
         None => Cell::Empty,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_age_is_never_below_0() {
+        let run = PredictionRun {
+            state: 0,
+            axis: None,
+            label: None,
+            first_time: 0,
+            probabilities: vec![0.5; 3],
+            lower: Vec::new(),
+            upper: Vec::new(),
+            masses: Vec::new(),
+            entropies_bits: Vec::new(),
+            order: 0,
+            observations: 1,
+            last_nanos: Some(5_000_000_000),
+            pending: 0,
+            answered_by: None,
+        };
+        let age = COLUMNS.iter().position(|column| *column == "age_secs").expect("a column");
+        let times = [2_000_000_000, 5_000_000_000, 6_500_000_000];
+        let ages: Vec<String> = rows(&run, "door", &times, false).map(|row| row[age].json()).collect();
+        assert_eq!(ages, ["0", "0", "1.5"], "before, at and after the newest observation");
     }
 }

@@ -1,6 +1,6 @@
 //! `tidemap producer`.
 //!
-//! Invariant: a row per producer and label; nothing changes.
+//! Invariant: a row per producer and label. What a forgotten producer has sent stays.
 
 use std::process::ExitCode;
 
@@ -17,10 +17,32 @@ pub(crate) enum ProducerCommand {
         /// Name of the map
         map: String,
     },
+    /// Frees the places of a producer that will not come back; what it has sent stays
+    Forget {
+        /// Name of the map
+        map: String,
+        /// Name of the producer
+        producer: String,
+        /// Only its sequence with this label
+        #[arg(long)]
+        label: Option<String>,
+    },
 }
 
 pub(crate) async fn run(session: &Session, command: &ProducerCommand) -> anyhow::Result<ExitCode> {
-    let ProducerCommand::List { map } = command;
+    match command {
+        ProducerCommand::List { map } => list(session, map).await,
+        ProducerCommand::Forget { map, producer, label } => {
+            let forgotten = session.client.forget_producer(map, producer, label.as_deref()).await?;
+            session.print(
+                &["producer", "forgotten"],
+                std::iter::once(vec![Cell::Text(producer.clone()), forgotten.into()]),
+            )
+        }
+    }
+}
+
+async fn list(session: &Session, map: &str) -> anyhow::Result<ExitCode> {
     let producers = session.client.producers(map).await?;
     let cells = |known: KnownProducer| {
         vec![
@@ -31,5 +53,8 @@ pub(crate) async fn run(session: &Session, command: &ProducerCommand) -> anyhow:
             Cell::time(known.received_nanos),
         ]
     };
-    session.print(&["producer", "label", "observations", "connected", "received"], producers.into_iter().map(cells))
+    session.print(
+        &["producer", "label", "observations", "connected", "received"],
+        producers.into_iter().filter(|known| !known.is_forgotten).map(cells),
+    )
 }

@@ -3,16 +3,13 @@
 //! Invariant: `schema/output.json` has a definition for each command, by its words; `tests/integration/json_output.rs`
 //! validates what the commands print against it.
 
-use std::{
-    collections::BTreeMap,
-    io::{self, Write as _},
-    process::ExitCode,
-};
+use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use serde_json::Value;
 
 use super::UsageError;
+use crate::output;
 
 /// The schema of all commands, draft 2020-12.
 const SCHEMA: &str = include_str!("schema/output.json");
@@ -28,7 +25,7 @@ pub(crate) struct SchemaArgs {
 /// Prints the schema of one command or of all.
 pub(crate) fn run(args: &SchemaArgs) -> anyhow::Result<ExitCode> {
     let text = if args.words.is_empty() { SCHEMA.to_owned() } else { of_command(&args.words.join(" "))? };
-    writeln!(io::stdout(), "{}", text.trim_end())?;
+    output::print(&format!("{}\n", text.trim_end()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -98,7 +95,7 @@ mod tests {
         for words in &commands {
             assert!(schema["$defs"].get(words).is_some(), "{words} has no definition in schema/output.json");
         }
-        let known = ["error", "time", "time_or_null", "component", "model_error", "experiment"];
+        let known = ["error", "time", "time_or_null", "component", "model_error"];
         for name in schema["$defs"].as_object().into_iter().flat_map(|all| all.keys()) {
             assert!(known.contains(&name.as_str()) || commands.contains(name), "{name} is no command");
         }

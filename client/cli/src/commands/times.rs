@@ -175,7 +175,7 @@ fn local_steps(day: LocalDay, zone: &Zone, step: i64) -> Result<Vec<i64>, UsageE
 }
 
 /// A duration.
-pub(crate) fn duration(text: &str) -> Result<i64, InvalidDuration> {
+pub fn duration(text: &str) -> Result<i64, InvalidDuration> {
     parse_duration(text)
 }
 

@@ -237,7 +237,7 @@ fn read(path: &Path) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
 }
 
 /// The nodes and edges that a file describes.
-pub(crate) fn from_file(file: TopologyFile) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
+pub fn from_file(file: TopologyFile) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
     let node = |NodeEntry { name, pose }| {
         let pose = pose.map(|[x_m, y_m, yaw_rad]| NodePose { x_m, y_m, yaw_rad });
         Ok(NewNode { name: StateName::new(&name)?, pose, dwell_secs: None })

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import os
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ParamSpec, TypeVar
@@ -96,11 +97,12 @@ class AsyncProducer:
 
 
 class AsyncClient:
-    """A client of a daemon, for asyncio. ``client`` is the same one without."""
+    """A client of a daemon, for asyncio. ``client`` is the same one without. It is pickled as ``client`` is."""
 
     def __init__(self, client: Client) -> None:
         self.client = client
-        self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="tidemap")
+        self._is_own = False
+        self._begin_threads()
         self._streams: set[Stream] = set()
         self.call = self._awaited(client.call)
         self.maps = self._awaited(client.maps)
@@ -113,6 +115,7 @@ class AsyncClient:
         self.observe_grids = self._awaited(client.observe_grids)
         self.update = self._awaited(client.update)
         self.erase = self._awaited(client.erase)
+        self.forget_producer = self._awaited(client.forget_producer)
         self.jobs = self._awaited(client.jobs)
         self.predict = self._awaited(client.predict)
         self.classify = self._awaited(client.classify)
@@ -159,14 +162,26 @@ class AsyncClient:
 
         return waiting
 
+    def _begin_threads(self) -> None:
+        self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="tidemap")
+        self._process = os.getpid()
+
     async def _run(self, call: Callable[[], R]) -> R:
+        if self._process != os.getpid():
+            # A fork does not copy threads.
+            self._begin_threads()
         return await asyncio.get_running_loop().run_in_executor(self._threads, call)
 
     def close(self) -> None:
-        """Ends all streams; calls that wait go on to their end."""
+        """Ends all streams; calls that wait go on to their end. Closes the connections if :func:`connect` made them."""
         for stream in list(self._streams):
             stream.close()
         self._threads.shutdown(wait=False)
+        if self._is_own:
+            self.client.close()
+
+    def __reduce__(self) -> tuple[type[AsyncClient], tuple[Client]]:
+        return AsyncClient, (self.client,)
 
     async def __aenter__(self) -> AsyncClient:
         return self
@@ -190,5 +205,6 @@ class AsyncClient:
 async def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> AsyncClient:
     """A client of the daemon at ``server``, checked; arguments as of :func:`tidemap.connect`."""
     client = AsyncClient(Client(server, **credentials))
+    client._is_own = True
     await client.maps()
     return client

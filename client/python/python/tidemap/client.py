@@ -270,6 +270,17 @@ class Client(Questions, Routes, Landmarks, Tasks):
                 request[name] = _times.timestamp(self._moment(map, time, zone))
         return self._ended(self.call("MaintenanceService/Erase", request)["job"], f"the erasure in {map}")
 
+    def forget_producer(self, map: str, producer: str, *, label: str | None = None) -> int:
+        """Frees the places of a producer that will not come back: of all its labels, or of one.
+
+        What it has sent stays and keeps its numbers. Returns how many labels have given their places up. ``NotFound``: the
+        map has no such producer; ``FailedPrecondition``: it has an open stream.
+        """
+        request: dict[str, Any] = {"map": map, "producer": producer}
+        if label is not None:
+            request["label"] = label
+        return int(self.call("MaintenanceService/ForgetProducer", request)["forgotten"])
+
     def _withdraw(self, map: str, producer: str, label: str) -> None:
         """Erases what a producer has sent with a label, if it has, so that it counts when it is sent again."""
         token = ""
@@ -300,7 +311,7 @@ class Client(Questions, Routes, Landmarks, Tasks):
 def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> Client:
     """A client of the daemon at ``server``, checked: ``HOST:PORT``, ``https://HOST:PORT`` or ``unix:PATH``.
 
-    ``token``, ``ca``, ``certificate`` and ``key`` as of :class:`Client`.
+    ``token``, ``token_file``, ``ca``, ``certificate`` and ``key`` as of :class:`Client`.
     """
     client = Client(server, **credentials)
     client.maps()

@@ -1,14 +1,17 @@
 """The connection to a daemon: any RPC by its name, and times as the map of a request means them.
 
-Invariant: a time without a zone is never taken for UTC unless the map is in UTC or the user says so.
+Invariant: a time without a zone is never taken for UTC unless the map is in UTC or the user says so. A pickle holds no
+secret, and no open connection.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +22,16 @@ from tidemap.errors import InvalidArgument, TidemapError
 from tidemap.times import Time
 
 
+C = TypeVar("C", bound="Connection")
+
+
 def _bytes_of(what: str | Path | bytes | None) -> bytes | None:
     return what if what is None or isinstance(what, bytes) else Path(what).read_bytes()
+
+
+def _kept(what: str | Path | bytes | None) -> str | bytes | None:
+    """What a pickle has in its place: a path that is good in any folder."""
+    return what if what is None or isinstance(what, bytes) else str(Path(what).absolute())
 
 
 class Stream(Iterator[dict[str, Any]]):
@@ -37,21 +48,66 @@ class Stream(Iterator[dict[str, Any]]):
         """Wants no further reply. A thread that waits for one gets the end."""
         self._native.cancel()
 
+    def __reduce__(self) -> Any:
+        raise pickle.PicklingError("a stream of replies is not pickled: it is an open call of this process")
+
 
 class Connection:
-    """A connection to a daemon. Other threads of Python run while it waits."""
+    """A connection to a daemon. Other threads of Python run while it waits.
+
+    ``token_file`` is a file that holds the token, ``token`` the token itself; ``ca``, ``certificate`` and ``key`` are files
+    or their content. At most 64 requests are under way at a time, others wait for their turn; where the daemon has no
+    room, a request is sent again when the daemon says, for at most a minute.
+
+    A process that was forked gets connections of its own. A pickle has the address and the files, by absolute paths,
+    and connects anew where it is loaded. A client whose token or private key was given as text is not pickled, because
+    the secret would lie in the pickle.
+    """
 
     def __init__(
         self,
         server: str = "127.0.0.1:7435",
         *,
         token: str | None = None,
+        token_file: str | Path | None = None,
         ca: str | Path | bytes | None = None,
         certificate: str | Path | bytes | None = None,
         key: str | Path | bytes | None = None,
     ) -> None:
-        self._native = NativeClient(server, token, _bytes_of(ca), _bytes_of(certificate), _bytes_of(key))
+        if token is not None and token_file is not None:
+            raise InvalidArgument("token and token_file are both given: one of them is the token", "INVALID_ARGUMENT")
+        given = token if token_file is None else Path(token_file).read_text().strip()
+        self._native = NativeClient(server, given, _bytes_of(ca), _bytes_of(certificate), _bytes_of(key))
+        self._has_secret_text = token is not None or isinstance(key, bytes)
+        self._given = {
+            "server": server, "token_file": _kept(token_file), "ca": _kept(ca), "certificate": _kept(certificate),
+            "key": None if isinstance(key, bytes) else _kept(key),
+        }
         self._zones: dict[str, str] = {}
+
+    def close(self) -> None:
+        """Closes the connections. Calls that wait go on to their end; later ones are refused."""
+        self._native.close()
+
+    def __enter__(self: C) -> C:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._has_secret_text:
+            raise pickle.PicklingError(
+                "a client whose token or key was given as text is not pickled, because the secret would lie in the "
+                "pickle: give token_file=PATH, and key=PATH"
+            )
+        return dict(self._given)
+
+    def __setstate__(self, given: dict[str, Any]) -> None:
+        server = given.pop("server")
+        Connection.__init__(self, server, **given)
 
     @property
     def server(self) -> str:

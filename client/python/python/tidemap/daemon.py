@@ -48,8 +48,8 @@ class Daemon:
         listen: str = "127.0.0.1:0",
         http_listen: str = "127.0.0.1:0",
     ) -> None:
-        self._own = None if data_dir is not None else tempfile.TemporaryDirectory(prefix="tidemap-")
-        self.data_dir = Path(data_dir if data_dir is not None else self._own.name if self._own else "")
+        self._own = None if data_dir is not None else Path(tempfile.mkdtemp(prefix="tidemap-"))
+        self.data_dir = Path(data_dir) if data_dir is not None else self._own or Path()
         program = find_daemon()
         command = [
             str(program), "--data-dir", str(self.data_dir / "data" if self._own else self.data_dir),
@@ -58,10 +58,15 @@ class Daemon:
         self._process = subprocess.Popen(  # noqa: S603
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
+        self._started_by = os.getpid()
         self._log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)
         self._reader.start()
-        self.grpc, self.http = self._ports()
+        try:
+            self.grpc, self.http = self._ports()
+        except BaseException:
+            self.stop()
+            raise
         atexit.register(self.stop)
 
     def _read_log(self) -> None:
@@ -102,6 +107,9 @@ class Daemon:
     def stop(self) -> None:
         """Ends it in order. Data in a folder that was given stays; a folder of its own goes."""
         atexit.unregister(self.stop)
+        if self._started_by != os.getpid():
+            # A child of a fork may end before the process that the daemon belongs to.
+            return
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
             try:
@@ -113,7 +121,7 @@ class Daemon:
             if stream is not None:
                 stream.close()
         if self._own is not None:
-            self._own.cleanup()
+            shutil.rmtree(self._own, ignore_errors=True)
             self._own = None
 
     def __enter__(self) -> Daemon:

@@ -12,7 +12,7 @@ pickled or copied. scikit-learn is not needed; where it is installed, the classe
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +80,8 @@ else:
 
 
 Floats = npt.NDArray[np.float64]
+C = TypeVar("C", bound="_Classifier")
+R = TypeVar("R", bound="_Regressor")
 
 
 class Rhythm(NamedTuple):
@@ -237,7 +239,7 @@ class _Classifier(_ClassifierMixin, _Model):
         tags.classifier_tags.poor_score = True
         return tags
 
-    def fit(self, X: Any, y: Any) -> Any:
+    def fit(self: C, X: Any, y: Any) -> C:
         """Learns readings: times, and which of the two values the state had. Returns itself."""
         labels = _numbers_of(y, type(self).__name__)
         classes = np.unique(labels)
@@ -281,7 +283,7 @@ class _Regressor(_RegressorMixin, _Model):
         tags.regressor_tags.poor_score = True
         return tags
 
-    def fit(self, X: Any, y: Any) -> Any:
+    def fit(self: R, X: Any, y: Any) -> R:
         """Learns readings: times and values. Returns itself."""
         values = _numbers_of(y, type(self).__name__)
         self._fitted(X, np.ascontiguousarray(values, dtype=np.float64))

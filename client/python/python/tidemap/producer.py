@@ -5,6 +5,7 @@ Invariant: what was taken is sent in order, and durable after a flush.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -178,6 +179,12 @@ class Producer:
     def abandon(self) -> None:
         """Ends at once; what is not durable may or may not become so."""
         self._native.abandon()
+
+    def __reduce__(self) -> Any:
+        raise pickle.PicklingError(
+            "a producer is not pickled: its observations are numbered in this process. Pickle the client, and open a "
+            "producer with a label of its own in each process"
+        )
 
     def __enter__(self) -> Producer:
         return self

@@ -138,7 +138,7 @@ impl Window {
     pub fn scans_to_send(&self, max_count: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
         self.unsent(max_count, bytes, urgent).map_while(|item| match item {
             Item::Scan(scan) => Some(&**scan),
-            Item::Observation(_) | Item::Traversal(_) | Item::Sighting(_) => None,
+            Item::Observation(_) | Item::Report(_) => None,
         })
     }
 }

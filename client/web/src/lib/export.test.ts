@@ -12,6 +12,16 @@ suite('files', () => {
         assert.equal(csvRow(['a', 1.5, 'b,c', 'say "no"', 'two\nlines']), 'a,1.5,"b,c","say ""no""","two\nlines"\r\n');
     });
 
+    test('of CSV have no formulas, and numbers stay numbers', () => {
+        const texts = ['=HYPERLINK("http://x")', '+1+2', '-3/2', '@SUM(A1)', '\t=1', '\r=1', '＝1'];
+        for (const text of texts) {
+            const row = csvRow([text, 'door']);
+            assert.ok(row.startsWith("'") || row.startsWith('"\''), row);
+        }
+        assert.equal(csvRow(['=1+1', 'a=b', '-', 'it\'s']), "'=1+1,a=b,'-,it's\r\n");
+        assert.equal(csvRow([-1.5, '-1.5', '+2', '-1e-3', 1e21]), '-1.5,-1.5,+2,-1e-3,1e+21\r\n');
+    });
+
     test('of SVG have names as text, whatever these are', () => {
         assert.equal(escaped('<a href="x">&'), '&lt;a href=&quot;x&quot;&gt;&amp;');
         const svg = stripsSvg({ title: 'home & yard', ticks: [{ share: 0.5, text: '12:00' }], rows: [{ name: '<script>', colours: ['rgb(1 2 3)', '#fff'], note: 'now' }] });

@@ -1,6 +1,7 @@
 // Files of what is shown: CSV, SVG, and PNG made of the SVG.
 //
-// Invariant: a file says the map, the time and the zone; text in it is escaped.
+// Invariant: a file says the map, the time and the zone; text in it is escaped, and no text of a table is a formula to a
+// spreadsheet. Numbers stay numbers.
 
 export type Format = 'png' | 'svg' | 'csv';
 
@@ -13,9 +14,21 @@ export function save(name: string, content: Blob | string, type = 'text/plain'):
     setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
+/** How a formula begins, in any of the spreadsheets; the wide forms are those of Japanese and Chinese input. */
+const FORMULA = /^[=+\-@\t\r＝＋－＠]/;
+
+/** A number as a view writes it, which is no formula. */
+const NUMBER = /^[+-]?\d+(\.\d+)?(e[+-]?\d+)?$/i;
+
+/** A text as a spreadsheet shows it: one that would be a formula has an apostrophe before it. */
+function asText(text: string): string {
+    return FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text;
+}
+
 /** A row of CSV: RFC 4180. */
 export function csvRow(cells: (string | number)[]): string {
-    return cells.map((cell) => (/[",\r\n]/.test(String(cell)) ? `"${String(cell).replaceAll('"', '""')}"` : String(cell))).join(',') + '\r\n';
+    const texts = cells.map((cell) => (typeof cell === 'number' ? String(cell) : asText(cell)));
+    return texts.map((text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)).join(',') + '\r\n';
 }
 
 /** Text of XML. */

@@ -1,11 +1,14 @@
-//! Single readings, as the columns of a message.
+//! Single readings, as the observations of a message.
 //!
 //! Invariant: the columns have the readings in their order, and each name once.
 
 use std::{borrow::Cow, collections::HashMap};
 
+use tidemap_map::name::StateName;
+
+use super::UnnumberedObservations;
 use crate::{
-    convert::{InvalidField, time::nanos_from_timestamp},
+    convert::{InvalidField, classify::Learning, time::nanos_from_timestamp},
     v1,
 };
 
@@ -16,11 +19,45 @@ struct Named {
     dimensions: u32,
 }
 
-/// The columns of the readings of a report, whose default time is `now_nanos`, nanoseconds UTC.
+/// The readings of a request, whose default time is `now_nanos`, nanoseconds UTC.
 ///
 /// # Errors
 /// The invalid field, or there are no readings.
-pub fn readings_to_columns(readings: &[v1::Reading], now_nanos: i64) -> Result<v1::ObservationColumns, InvalidField> {
+pub fn readings_from_wire(readings: &[v1::Reading], now_nanos: i64) -> Result<UnnumberedObservations, InvalidField> {
+    columns_of(readings, now_nanos).map(UnnumberedObservations)
+}
+
+/// The observations by which a classification is learned, of each of these categorical states at a time, nanoseconds
+/// UTC: the likeliest label, or the share of each label. `shares`: the labels in their order.
+#[must_use]
+pub fn learned_readings(
+    states: &[StateName],
+    utc_nanos: i64,
+    learning: Learning,
+    shares: &[(String, f64)],
+) -> UnnumberedObservations {
+    let likeliest = shares.iter().max_by(|(_, one), (_, other)| one.total_cmp(other));
+    let likeliest = likeliest.filter(|_| learning != Learning::Shares).map(|(label, _)| label);
+    let count = states.len();
+    let name = |state: &StateName| likeliest.map_or_else(|| state.to_string(), |label| format!("{state}/{label}"));
+    let mut columns = v1::ObservationColumns {
+        time_unit_nanos: 1,
+        first_time_nanos: utc_nanos,
+        time_deltas: vec![0; count],
+        state_indices: (0..u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+        new_states: states.iter().map(name).collect(),
+        new_kinds: vec![v1::StateKind::Categorical.into(); count],
+        values: vec![if likeliest.is_some() { 1.0 } else { 0.0 }; count],
+        ..v1::ObservationColumns::default()
+    };
+    if likeliest.is_none() {
+        columns.new_dimensions = vec![u32::try_from(shares.len()).unwrap_or(u32::MAX); count];
+        columns.shares = states.iter().flat_map(|_| shares.iter().map(|(_, share)| *share)).collect();
+    }
+    UnnumberedObservations(columns)
+}
+
+fn columns_of(readings: &[v1::Reading], now_nanos: i64) -> Result<v1::ObservationColumns, InvalidField> {
     if readings.is_empty() {
         return Err(InvalidField::new("readings", "there is none: send at least one"));
     }
@@ -100,7 +137,7 @@ mod tests {
     #[test]
     fn readings_become_columns_in_their_order() {
         let late = v1::Reading { time: Some(timestamp(9)), ..reading("door", 0.0) };
-        let packed = readings_to_columns(&[reading("door", 1.0), reading("lamp", 0.5), late], 7).expect("right");
+        let packed = columns_of(&[reading("door", 1.0), reading("lamp", 0.5), late], 7).expect("right");
         assert_eq!(packed.new_states, ["door", "lamp"]);
         let unpacked = columns::decode(packed).expect("well formed");
         assert_eq!((unpacked.times_nanos, unpacked.state_indices), (vec![7, 7, 9], vec![0, 1, 0]));
@@ -110,7 +147,7 @@ mod tests {
     fn a_label_is_a_name_of_its_own_and_shares_have_their_number() {
         let label = |label: &str| v1::Reading { label: label.to_owned(), ..reading("activity", 0.0) };
         let shares = v1::Reading { shares: vec![0.25, 0.75], ..reading("mood", 0.0) };
-        let packed = readings_to_columns(&[label("eat"), label("sleep"), label("eat"), shares], 7).expect("right");
+        let packed = columns_of(&[label("eat"), label("sleep"), label("eat"), shares], 7).expect("right");
         assert_eq!(packed.new_states, ["activity/eat", "activity/sleep", "mood"]);
         assert_eq!(packed.new_kinds, [i32::from(v1::StateKind::Categorical); 3]);
         assert_eq!((packed.new_dimensions, packed.shares), (vec![0, 0, 2], vec![0.25, 0.75]));
@@ -118,8 +155,20 @@ mod tests {
     }
 
     #[test]
+    fn a_classification_is_learned_as_its_likeliest_label_or_as_shares() {
+        let shares = [("sleep".to_owned(), 0.25), ("eat".to_owned(), 0.75)];
+        let states = [StateName::new("activity").expect("valid")];
+        let UnnumberedObservations(label) = learned_readings(&states, 7, Learning::Label, &shares);
+        let sent = v1::Reading { label: "eat".to_owned(), ..reading("activity", 0.0) };
+        assert_eq!(label, columns_of(&[sent], 7).expect("valid"));
+        let UnnumberedObservations(whole) = learned_readings(&states, 7, Learning::Shares, &shares);
+        let sent = v1::Reading { shares: vec![0.25, 0.75], ..reading("activity", 0.0) };
+        assert_eq!(whole, columns_of(&[sent], 7).expect("valid"));
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
-        let field = |readings: &[v1::Reading]| readings_to_columns(readings, 7).expect_err("wrong").field;
+        let field = |readings: &[v1::Reading]| columns_of(readings, 7).expect_err("wrong").field;
         assert_eq!(field(&[]), "readings");
         let placed = |position: &[f64]| v1::Reading { position: position.to_vec(), ..reading("anna", 0.0) };
         assert_eq!(field(&[placed(&[1.0])]), "readings[0].position");

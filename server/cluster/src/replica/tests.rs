@@ -38,6 +38,8 @@ use daemon::{Ask, Daemon};
 const UID: u64 = 0x7EA_2026;
 const DAEMONS: usize = 3;
 const PRODUCERS: usize = 3;
+/// Seeds of the short form. `make durability` tries thousands.
+const SEEDS: u64 = 600;
 
 /// What daemons and producers have seen.
 #[derive(Default)]
@@ -486,12 +488,12 @@ fn try_seeds(mode: Mode, default: u64) {
 
 #[test]
 fn nothing_that_was_acknowledged_is_lost_by_faults_that_a_quorum_survives() {
-    try_seeds(Mode::Survivable, 2500);
+    try_seeds(Mode::Survivable, SEEDS);
 }
 
 #[test]
 fn what_the_engine_forgets_is_appended_again_or_set_aside() {
-    try_seeds(Mode::Forgetful, 2500);
+    try_seeds(Mode::Forgetful, SEEDS);
 }
 
 /// The first of so many seeds that shows a defect.

@@ -9,6 +9,7 @@ use std::sync::{
 };
 
 use super::{super::day::GridDay, pattern::Pattern, rules::Rules, tile_day::BusyTile};
+use crate::pace::Pace;
 
 /// Work of a batch: cells times scans, at about 4 ns each.
 const BATCH_WORK: usize = 1_000_000_000;
@@ -47,7 +48,7 @@ impl Batch {
 
     /// Processes the day for these tiles.
     pub(super) fn run(self, rules: &Rules, day: &GridDay, meter: &ProgressMeter<'_>) -> Vec<BusyTile> {
-        let tiles = self.pattern.run(rules, day, self.tiles);
+        let tiles = self.pattern.run(rules, day, self.tiles, meter.pace);
         meter.add(tiles.len());
         tiles
     }
@@ -55,7 +56,7 @@ impl Batch {
 
 /// Reports the progress of an update in tiles. Each tile counts in equal parts on each of its days.
 pub(super) struct ProgressMeter<'a> {
-    progress: &'a AtomicU64,
+    pace: &'a dyn Pace,
     tiles: u64,
     /// Days of all tiles.
     days: u64,
@@ -63,9 +64,9 @@ pub(super) struct ProgressMeter<'a> {
 }
 
 impl<'a> ProgressMeter<'a> {
-    pub(super) fn new(progress: &'a AtomicU64, tiles: u64, days: &[GridDay]) -> ProgressMeter<'a> {
+    pub(super) fn new(pace: &'a dyn Pace, tiles: u64, days: &[GridDay]) -> ProgressMeter<'a> {
         let days = days.iter().map(|day| day.tiles().len() as u64).sum();
-        ProgressMeter { progress, tiles, days, days_done: AtomicU64::new(0) }
+        ProgressMeter { pace, tiles, days, days_done: AtomicU64::new(0) }
     }
 
     /// This many tiles are done for one more of their days.
@@ -74,6 +75,6 @@ impl<'a> ProgressMeter<'a> {
         let part = |done: u64| u128::from(done) * u128::from(self.tiles) / u128::from(self.days.max(1));
         // The parts add up in any order.
         let more = part(before + days as u64) - part(before);
-        self.progress.fetch_add(u64::try_from(more).unwrap_or(0), Ordering::Relaxed);
+        self.pace.add_done(u64::try_from(more).unwrap_or(0));
     }
 }

@@ -22,6 +22,7 @@ use super::{
     shared_sums::{Gains, Times},
     tile_day::{BusyTile, TileDay},
 };
+use crate::pace::Pace;
 
 /// The scans that some tiles were seen by, and what these tiles share.
 #[derive(Debug)]
@@ -48,7 +49,7 @@ impl Pattern {
     }
 
     /// Processes the day for some of the tiles.
-    pub(super) fn run(&self, rules: &Rules, day: &GridDay, tiles: Vec<BusyTile>) -> Vec<BusyTile> {
+    pub(super) fn run(&self, rules: &Rules, day: &GridDay, tiles: Vec<BusyTile>, pace: &dyn Pace) -> Vec<BusyTile> {
         let times = self.times.get_or_init(|| Times::new(&self.ranges, day, rules));
         let unseen = DayTile::default();
         let mut tiles: Vec<TileDay> = tiles
@@ -61,7 +62,10 @@ impl Pattern {
             .collect();
         if tiles.iter().any(TileDay::is_scored) {
             for chunk in Looks::new(&times.civil_nanos, &rules.periodicities).chunks(times, rules) {
-                tiles.par_iter_mut().for_each(|tile| tile.score(&chunk, rules));
+                tiles.par_iter_mut().for_each(|tile| {
+                    pace.await_turn();
+                    tile.score(&chunk, rules);
+                });
             }
         }
         let mut contributions = self.gains().missing(tiles.iter().flat_map(TileDay::toggles), times, rules);
@@ -77,8 +81,12 @@ impl Pattern {
             let scans = civil_nanos.len();
             let is_last = first + scans == times.utc_nanos.len();
             let chunk = Chunk { first, rows: &rows, weighted: weighted.as_ref(), scans, is_last };
+            pace.await_turn();
             contributions.par_iter_mut().for_each(|contribution| contribution.fold(&chunk));
-            tiles.par_iter_mut().for_each(|tile| tile.fold(&chunk));
+            tiles.par_iter_mut().for_each(|tile| {
+                pace.await_turn();
+                tile.fold(&chunk);
+            });
         }
         let mut gains = self.gains();
         gains.take(contributions);
@@ -86,6 +94,10 @@ impl Pattern {
             tile.regroup(&mut gains, times, rules);
         }
         drop(gains);
-        tiles.into_par_iter().map(|tile| tile.retrain(times, rules)).collect()
+        let retrain = |tile: TileDay| {
+            pace.await_turn();
+            tile.retrain(times, rules)
+        };
+        tiles.into_par_iter().map(retrain).collect()
     }
 }

@@ -161,6 +161,8 @@ impl<'a> Relearning<'a> {
                 grid: None,
                 readings: Some(Arc::<Earlier>::clone(&source)),
                 room: None,
+                // An erasure learns all that is left at once: no update follows it.
+                readings_max: u64::MAX,
             };
             models = work.run(&AtomicU64::new(0))?.models;
             earlier = Arc::try_unwrap(source).unwrap_or_default();

@@ -2,15 +2,17 @@
 
 use std::sync::atomic::AtomicU64;
 
-use tidemap_model::Periodicities;
+use tidemap_model::{LocalDay, Periodicities};
 
 use super::*;
 use crate::{
     event::{Dimensions, OffsetRun, SequenceSpan, StateKind, StateSensor, StateShape, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
-    name::{MapName, ProducerKey},
+    name::{MapName, ProducerKey, TaskName},
+    site::Location,
     spec::MapSpec,
+    task::{ALL_WEEKDAYS, KeptPlan, KeptStep, KeptWork, RobotTask, TaskDays, TaskEdit},
 };
 
 mod parts;
@@ -80,7 +82,32 @@ fn update(map: &mut LiveMap, hour: i64) -> (Event, MapSnapshot) {
     (event, map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory")))
 }
 
-/// The events, with the snapshot after the update at position 4.
+/// A task whose value a state multiplies.
+fn valued(kind: &str, state: &str) -> RobotTask {
+    RobotTask {
+        name: TaskName::new(kind, "hall").expect("valid"),
+        from_secs: 0,
+        until_secs: 3600,
+        duration_secs: 60,
+        days: TaskDays::Weekly(ALL_WEEKDAYS),
+        every_secs: None,
+        value: 1.0,
+        value_state: Some(StateName::stored_or_label(state).expect("valid")),
+    }
+}
+
+/// A plan that looks at places, one a minute.
+fn kept_plan(places: &[&str]) -> KeptPlan {
+    let step = |(minute, place): (i64, &&str)| KeptStep {
+        departure_nanos: minute * 60_000_000_000,
+        start_nanos: minute * 60_000_000_000,
+        end_nanos: (minute + 1) * 60_000_000_000,
+        work: KeptWork::Explore { place: (*place).to_owned(), information_bits: 1.0 },
+    };
+    KeptPlan { day: LocalDay(0), made_nanos: 0, steps: (0..).zip(places).map(step).collect() }
+}
+
+/// The events, with the snapshot after the first update.
 fn story() -> (Vec<Event>, MapSnapshot, Vec<HistoryPiece>) {
     let [door, anna, lamp, late] = added();
     let mut map = LiveMap::new(spec());
@@ -93,6 +120,8 @@ fn story() -> (Vec<Event>, MapSnapshot, Vec<HistoryPiece>) {
         observed(0, 0, vec![door, anna, lamp], 4),
         Event::EditSite(SiteEdit::SetLocation(named("hall"), location(&[0, 1]))),
         Event::EditSite(SiteEdit::SetLocation(named("bed"), location(&[1, 2]))),
+        Event::EditSite(SiteEdit::Task(TaskEdit::Set(valued("greet", "anna/x")))),
+        Event::EditSite(SiteEdit::Task(TaskEdit::KeepPlan(kept_plan(&["hall", "anna"])))),
     ];
     let second = vec![
         Event::AddState(late),
@@ -100,6 +129,9 @@ fn story() -> (Vec<Event>, MapSnapshot, Vec<HistoryPiece>) {
         Event::EditSite(SiteEdit::RemoveLocation(named("bed"))),
         Event::EditSite(SiteEdit::SetLocation(named("bath"), location(&[2]))),
         Event::EditSite(SiteEdit::SetLocation(named("hall"), location(&[1]))),
+        Event::EditSite(SiteEdit::Task(TaskEdit::Set(valued("wake", "anna/y")))),
+        Event::EditSite(SiteEdit::Task(TaskEdit::Set(valued("light", "lamp")))),
+        Event::EditSite(SiteEdit::Task(TaskEdit::KeepPlan(kept_plan(&["anna", "tour"])))),
         observed(1, 20, Vec::new(), 5),
     ];
     for (batch, until) in [(first, 24), (second, 30)] {
@@ -174,6 +206,22 @@ fn nothing_of_an_erased_state_is_left_in_the_events() {
         |event: &Event| matches!(event, Event::EditSite(SiteEdit::SetLocation(name, _)) if name.as_str() == "bed");
     assert!(!left.iter().any(bed));
     assert_eq!(after.site.locations().keys().map(StateName::as_str).collect::<Vec<_>>(), ["hall"]);
+    let plan = after.site.tasks().plan(LocalDay(0)).expect("kept");
+    assert_eq!(plan.steps.len(), 1, "{plan:?}");
     // The producer goes on where it was.
     assert_eq!(after.producers[0].durable_sequence, 1000);
+}
+
+#[test]
+fn a_task_that_names_a_state_before_there_is_one_does_not_keep_its_name() {
+    let [_, anna, ..] = added();
+    let events = [
+        Event::EditSite(SiteEdit::Task(TaskEdit::Set(valued("greet", "anna/x")))),
+        Event::AddState(NewState { id: StateId(0), ..anna }),
+    ];
+    let mut erasure = StateErasure::new(vec![StateId(0), StateId(1)]);
+    events.iter().for_each(|event| erasure.note(event));
+    let left: Vec<Event> = (1..).zip(events).map(|(position, event)| erasure.event(position, event)).collect();
+    assert!(!format!("{left:?}").contains("anna"), "{left:?}");
+    assert!(format!("{left:?}").contains("greet"), "the task stays: {left:?}");
 }

@@ -22,16 +22,18 @@ impl LiveMap {
         if let Some(grid) = &mut self.grid {
             grid.add_sensor(mark.sensor);
         }
+        self.forgotten += usize::from(mark.is_forgotten);
         let id = ProducerId(u32::try_from(self.producers.len()).unwrap_or(u32::MAX));
         self.producer_ids.insert(mark.key.clone(), id);
         self.producers.push(mark);
     }
 
     pub(super) fn add_state(&mut self, info: StateInfo) {
-        let reports_rows = info.reporting.may_end();
+        let reporting = info.reporting;
         let id = self.directory.push(info);
-        if reports_rows {
+        if reporting.may_end() {
             self.with_rows.push(id);
+            self.row_readings_a_day = self.row_readings_a_day.saturating_add(reporting.readings_a_day());
         }
         self.live.push(LiveState::default());
         self.live_dirty.resize(self.live.len().div_ceil(LIVE_CHUNK), true);
@@ -43,7 +45,7 @@ impl LiveMap {
     /// Advances a producer's mark.
     fn advance(&mut self, event: &Envelope) -> Result<(), String> {
         let span = event.span;
-        if let Some(NewProducer { key, sensor }) = &event.new_producer {
+        if let Some(NewProducer { key, sensor, introduced_by }) = &event.new_producer {
             if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
                 return Err(format!("producer {} is not new", event.producer.0));
             }
@@ -62,6 +64,8 @@ impl LiveMap {
                 newest_nanos: 0,
                 recent: Vec::new(),
                 has_scans: false,
+                is_forgotten: false,
+                introduced_by: introduced_by.clone(),
             });
         }
         let mark =
@@ -76,10 +80,27 @@ impl LiveMap {
             }
             mark.recent.push(ContentMark { sequence: mark.durable_sequence, crc: mark.content_crc });
         }
+        self.forgotten -= usize::from(std::mem::take(&mut mark.is_forgotten));
         mark.incarnation = mark.incarnation.max(event.incarnation);
         mark.durable_sequence = span.last;
         mark.content_crc = span.content_crc;
         mark.received_nanos = event.received_nanos;
+        Ok(())
+    }
+
+    /// Producers give their places up. An older self of one that comes back is fenced.
+    pub(super) fn forget_producers(&mut self, producers: &[ProducerId]) -> Result<(), String> {
+        if let Some(unknown) = producers.iter().find(|id| id.0 as usize >= self.producers.len()) {
+            return Err(format!("it forgets producer {}, which is unknown", unknown.0));
+        }
+        for id in producers {
+            if let Some(mark) = self.producers.get_mut(id.0 as usize).filter(|mark| !mark.is_forgotten) {
+                mark.is_forgotten = true;
+                mark.incarnation = mark.incarnation.saturating_add(1);
+                mark.recent = Vec::new();
+                self.forgotten += 1;
+            }
+        }
         Ok(())
     }
 

@@ -13,7 +13,7 @@ use crate::{
     live_state::Delivery,
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},
-    update::{MapAtUpdate, UpdateResult, UpdateWork},
+    update::{MapAtUpdate, UPDATE_READINGS_MAX, UpdateResult, UpdateWork},
     view::LIVE_CHUNK,
 };
 
@@ -91,6 +91,7 @@ impl LiveMap {
             grid: grid_work,
             readings: None,
             room: None,
+            readings_max: UPDATE_READINGS_MAX,
         })
     }
 
@@ -112,6 +113,7 @@ impl LiveMap {
         self.generation = basis.start.generation;
         self.cut_nanos = basis.start.cut_nanos;
         self.models = Arc::clone(&models);
+        self.waiting_rows = self.count_waiting_rows();
         let states = basis
             .directory
             .iter()

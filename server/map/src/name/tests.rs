@@ -22,6 +22,8 @@ fn state_names_are_printable_and_unambiguous() {
     assert!(matches!(StateName::new(&"x".repeat(65536)), Err(InvalidName::TooLong { chars: 65536, .. })));
     assert!(matches!(StateName::new("a\nb"), Err(InvalidName::Unprintable { code: 10, .. })));
     assert!(matches!(StateName::new("a\u{202e}b"), Err(InvalidName::Unprintable { .. })));
+    assert_eq!(printable("a\n\u{1b}[2Jb\u{202e}\u{9b}é"), "a\\u{a}\\u{1b}[2Jb\\u{202e}\\u{9b}é");
+    assert_eq!(printable("Küche 1"), "Küche 1");
     assert!(matches!(StateName::new("u\u{308}"), Err(InvalidName::NotNfc(_))));
     assert!(matches!(StateName::new("edge/a"), Err(InvalidName::Slash(_))));
 }

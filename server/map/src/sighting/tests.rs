@@ -4,6 +4,7 @@ use super::*;
 use crate::{
     landmark::{Descriptor, ImageFeature, LandmarkEdit, LandmarkKind},
     name::EdgeName,
+    report::Report,
     site::SiteEdit,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
 };
@@ -105,5 +106,33 @@ fn what_is_wrong_is_said() {
     ] {
         let message = wrong.samples(&site()).expect_err("wrong").to_string();
         assert!(message.contains(words), "{message}");
+    }
+}
+
+#[test]
+fn the_size_of_a_report_covers_its_observations() {
+    let edge = EdgeName::new("a", "b", "").expect("valid");
+    let traversal = Traversal { edge, start_nanos: 5, end_nanos: 15, success: true, reason: "late".to_owned() };
+    let name = crate::name::TaskName::new("clean", "a").expect("valid");
+    let run = crate::task::TaskRun {
+        name,
+        start_nanos: 5,
+        end_nanos: 9,
+        success: false,
+        intervention: false,
+        reason: "stuck".to_owned(),
+    };
+    let looked = Sighting { traversal: Some(traversal.clone()), ..sighting("a/b", &["p2"], &[]) };
+    for report in [
+        Report::Sighting(sighting("a", &["1"], &["2"])),
+        Report::Sighting(looked),
+        Report::Traversal(traversal),
+        Report::TaskRun(run),
+    ] {
+        let samples = report.samples(&site()).expect("valid");
+        // The record of an observation: its state's name, its time and its value.
+        let least: usize = samples.iter().map(|sample| sample.state.as_str().len() + 16).sum();
+        let bytes = report.log_bytes(&site());
+        assert!((least..10 * least).contains(&bytes), "{report:?}: {bytes} bytes for {least}");
     }
 }

@@ -149,6 +149,18 @@ impl TaskBook {
         TaskBook { runs, ..self }
     }
 
+    /// This book with every task as `change` returns it, under the same name.
+    pub(crate) fn with_tasks(self, change: impl Fn(RobotTask) -> RobotTask) -> TaskBook {
+        let tasks = self.tasks.into_iter().map(|(name, task)| (name, change(task))).collect();
+        TaskBook { tasks, ..self }
+    }
+
+    /// This book with every kept plan as `change` returns it, of the same day.
+    pub(crate) fn with_plans(self, change: impl Fn(KeptPlan) -> KeptPlan) -> TaskBook {
+        let changed = |(day, plan): (LocalDay, Arc<KeptPlan>)| (day, Arc::new(change(Arc::unwrap_or_clone(plan))));
+        TaskBook { plans: self.plans.into_iter().map(changed).collect(), ..self }
+    }
+
     /// Adds reports. Unlike edits, these are part of the observations that they come with.
     pub(crate) fn add_runs(&mut self, runs: &[TaskRun]) {
         runs.iter().for_each(|run| self.runs.add(run.clone()));

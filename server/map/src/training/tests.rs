@@ -1,6 +1,9 @@
 //! Which models are trained again, on what, and what happens where that cannot be.
 
-use std::{collections::BTreeMap, sync::Mutex};
+use std::{
+    collections::BTreeMap,
+    sync::{Mutex, atomic::AtomicU64},
+};
 
 use tidemap_model::{
     EnabledModels, Periodicities,
@@ -89,7 +92,7 @@ impl World {
         let of_state = self.models.iter_mut().zip(&self.own);
         let mut pupils: Vec<Pupil<'_>> =
             of_state.map(|(model, (id, own))| Pupil { id: *id, own: Taught::samples(own), model }).collect();
-        train_within(limits, &self.spec, newest, &mut pupils, &self.kept)
+        train_within(limits, &self.spec, newest, &mut pupils, (&self.kept, &AtomicU64::new(0)))
     }
 
     fn trained_of(&self, state: usize) -> Option<(&Calibrated, i32)> {

@@ -5,18 +5,16 @@
 //! models that are trained on readings are trained after the day on which a nightly update would have trained them,
 //! within the limits of a night.
 //!
+//! A row may stand for a million readings. So rows are learned up to a local midnight before which they stand for no
+//! more readings than one update may learn, at least for one local day. The others wait in the model of their state for
+//! the next update, which follows at once.
+//!
 //! Invariant: the result is that of one update a local day.
 
-use std::{
-    borrow::Cow,
-    collections::BTreeMap,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::{borrow::Cow, collections::BTreeMap, sync::Arc};
 
 use rayon::prelude::*;
+use tidemap_grid::pace::Pace;
 use tidemap_model::{
     LearnedRows, LocalDay, OffsetCache, Reporting, RowReadings, Sample, StateModel, Surprises, UpdateOutcome,
     choose_together, selector::ModelKind,
@@ -31,8 +29,16 @@ use crate::{
     training::{Pupil, StateReadings, Taught, TrainingOutcome, train_due},
 };
 
-/// What each state was taught, and what was trained.
-type Done = (Vec<(StateId, UpdateOutcome)>, TrainingOutcome);
+/// What an update has learned.
+pub(super) struct Done {
+    /// What each state was taught; ascending.
+    pub(super) outcomes: Vec<(StateId, UpdateOutcome)>,
+    /// What was trained.
+    pub(super) training: TrainingOutcome,
+    /// The local midnight up to which rows are learned, nanoseconds UTC; later ones wait for the next update. `None`:
+    /// all are.
+    pub(super) stop_nanos: Option<i64>,
+}
 
 /// How an update learns its states.
 pub(super) struct DailySteps<'a> {
@@ -46,8 +52,10 @@ pub(super) struct DailySteps<'a> {
     pub(super) room: &'a RoomInUse,
     /// The states that have one choice together: the first, and how many there are; ascending.
     pub(super) together: Vec<(StateId, usize)>,
+    /// Maximum number of readings that rows stand for, but for those of the first local day, which are all learned.
+    pub(super) readings_max: u64,
     /// Counts the states that are done.
-    pub(super) progress: &'a AtomicU64,
+    pub(super) pace: &'a dyn Pace,
 }
 
 /// What an update has of a state.
@@ -72,6 +80,8 @@ struct Rows {
     after: LearnedRows,
     offsets: OffsetCache,
     horizon_nanos: i64,
+    /// Up to where rows were learned before, exclusive.
+    learned_nanos: i64,
 }
 
 /// The lessons of a day, each with the model of its state.
@@ -92,13 +102,15 @@ impl<'a> Lesson<'a> {
         Lesson { new, ..Lesson::new(id, rows) }
     }
 
-    /// The samples as rows that stand for readings, where the state reports changes or events.
-    fn with_rows(self, model: &StateModel, horizon_nanos: i64, spec: &MapSpec) -> Lesson<'a> {
-        let Some(&learned) = model.learned_rows() else { return self };
-        let reporting = model.reporting();
-        let (readings, after) = learned.learn(reporting, rows_of(&self.samples), horizon_nanos);
-        let offsets = spec.zone.offset_cache();
-        Lesson { rows: Some(Rows { reporting, readings, after, offsets, horizon_nanos }), ..self }
+    /// The samples as rows that stand for readings, where the state reports changes or events. Those from `stop_nanos`
+    /// on wait.
+    fn with_rows(self, model: &StateModel, horizon_nanos: i64, stop_nanos: i64, spec: &MapSpec) -> Lesson<'a> {
+        let Some(learned) = model.learned_rows() else { return self };
+        let (reporting, learned_nanos) = (model.reporting(), learned.next_nanos);
+        let rows = rows_of(&self.samples);
+        let (readings, after) = learned.clone().learn_before(reporting, rows, horizon_nanos, stop_nanos);
+        let (offsets, horizon_nanos) = (spec.zone.offset_cache(), horizon_nanos.min(stop_nanos));
+        Lesson { rows: Some(Rows { reporting, readings, after, offsets, horizon_nanos, learned_nanos }), ..self }
     }
 
     /// The next day that it learns.
@@ -137,7 +149,8 @@ impl<'a> Lesson<'a> {
                 let horizon_nanos = rows.horizon_nanos.min(end_nanos);
                 let is_all = self.new < self.samples.len();
                 let samples = self.samples.get(..count).unwrap_or(&[]);
-                Taught { samples, is_all, reporting: rows.reporting, horizon_nanos }
+                let end_nanos = end_nanos.max(rows.learned_nanos);
+                Taught { samples, is_all, reporting: rows.reporting, horizon_nanos, end_nanos }
             }
         }
     }
@@ -205,6 +218,10 @@ impl DailySteps<'_> {
         models: &mut [Arc<StateModel>],
     ) -> Result<Done, (StateId, String)> {
         let mut lessons = self.lessons(states, models);
+        let stop_nanos = self.stop_nanos(&mut lessons, models);
+        if let Some(stop_nanos) = stop_nanos {
+            lessons.par_iter_mut().for_each(|lesson| self.stop(lesson, models, stop_nanos));
+        }
         let mut training = TrainingOutcome::default();
         let mut runs: usize = models.iter().map(|model| model.surprises().runs().len()).sum();
         while let Some(day) = lessons.iter_mut().filter_map(Lesson::day).min() {
@@ -224,14 +241,14 @@ impl DailySteps<'_> {
             }
         }
         self.rows_are_learned(&mut lessons, models);
-        let done = lessons.into_iter().filter_map(|lesson| Some((lesson.id, lesson.outcome?))).collect();
-        Ok((done, training))
+        let outcomes = lessons.into_iter().filter_map(|lesson| Some((lesson.id, lesson.outcome?))).collect();
+        Ok(Done { outcomes, training, stop_nanos })
     }
 
     /// A lesson for each state with observations, and for each whose rows hold; ascending.
     fn lessons<'b>(&'b self, states: &'b [(StateId, Vec<Sample>)], models: &[Arc<StateModel>]) -> Vec<Lesson<'b>> {
         let with_rows = |lesson: Lesson<'b>| match self.horizons.get(&lesson.id).zip(models.get(lesson.id.0 as usize)) {
-            Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, self.spec),
+            Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, i64::MAX, self.spec),
             None => lesson,
         };
         let observed = states.par_iter().map(|(id, samples)| match self.anew.get(id) {
@@ -246,17 +263,60 @@ impl DailySteps<'_> {
         lessons
     }
 
+    /// Where rows are learned up to, if all that they stand for is too much for one update: a local midnight, at the
+    /// earliest that after the first reading.
+    fn stop_nanos(&self, lessons: &mut [Lesson<'_>], models: &[Arc<StateModel>]) -> Option<i64> {
+        let readings_before = |stop_nanos: i64| -> u64 {
+            let of_lesson = |lesson: &Lesson<'_>| {
+                let (rows, model) = (lesson.rows.as_ref()?, models.get(lesson.id.0 as usize)?);
+                let new = rows_of(&lesson.samples);
+                let (learned, horizon_nanos) = (model.learned_rows()?, rows.horizon_nanos);
+                Some(learned.readings_before(rows.reporting, &new, horizon_nanos, stop_nanos))
+            };
+            lessons.par_iter().filter_map(of_lesson).sum()
+        };
+        if readings_before(i64::MAX) <= self.readings_max {
+            return None;
+        }
+        let midnight = |day: i32| self.spec.zone.midnight_nanos(LocalDay(day));
+        let ends = |lesson: &Lesson<'_>| {
+            let rows = lesson.rows.as_ref()?;
+            let newest = lesson.samples.last().map_or(i64::MIN, |sample| sample.utc_nanos);
+            Some((rows.readings.next_nanos()?, rows.horizon_nanos.max(newest)))
+        };
+        let (first, last) = lessons.iter().filter_map(ends).reduce(|all, one| (all.0.min(one.0), all.1.max(one.1)))?;
+        // The day that is learned in any case, and the first of which nothing is left.
+        let (mut within, mut end) = (self.spec.zone.day_of(first).0 + 1, self.spec.zone.day_of(last).0 + 1);
+        while end - within > 1 {
+            let middle = within + (end - within) / 2;
+            if readings_before(midnight(middle)) <= self.readings_max {
+                within = middle;
+            } else {
+                end = middle;
+            }
+        }
+        (midnight(within) <= last).then(|| midnight(within))
+    }
+
+    /// Lets the rows of a state from a time on wait.
+    fn stop(&self, lesson: &mut Lesson<'_>, models: &[Arc<StateModel>], stop_nanos: i64) {
+        let Some((rows, model)) = lesson.rows.as_ref().zip(models.get(lesson.id.0 as usize)) else { return };
+        let horizon_nanos = rows.horizon_nanos;
+        let before = std::mem::replace(lesson, Lesson::new(lesson.id, &[]));
+        *lesson = before.with_rows(model, horizon_nanos, stop_nanos, self.spec);
+    }
+
     /// Stores how far the rows of each state are learned. Rows count as observations, not the readings that they stand
     /// for.
     fn rows_are_learned(&self, lessons: &mut [Lesson<'_>], models: &mut [Arc<StateModel>]) {
         for lesson in lessons {
             let (Some(rows), Some(model)) = (&lesson.rows, models.get_mut(lesson.id.0 as usize)) else { continue };
             if model.learned_rows() != Some(&rows.after) {
-                *model = Arc::new(StateModel::clone(model).with_reporting(rows.reporting, rows.after));
+                *model = Arc::new(StateModel::clone(model).with_reporting(rows.reporting, rows.after.clone()));
             }
             if lesson.outcome.is_none() {
                 // Nothing that a reading would be learned of, so far.
-                self.progress.fetch_add(1, Ordering::Relaxed);
+                self.pace.add_done(1);
             }
             if lesson.new > 0 {
                 let order = model.order();
@@ -272,6 +332,7 @@ impl DailySteps<'_> {
         lesson: &mut Lesson<'_>,
         model: &mut Arc<StateModel>,
     ) -> Result<(), (StateId, String)> {
+        self.pace.await_turn();
         let periodicities = &self.spec.periodicities;
         if lesson.outcome.is_some() {
             self.room.let_go(model);
@@ -289,7 +350,7 @@ impl DailySteps<'_> {
         }
         self.room.take_in(model);
         if lesson.is_done() {
-            self.progress.fetch_add(1, Ordering::Relaxed);
+            self.pace.add_done(1);
         }
         Ok(())
     }
@@ -301,6 +362,6 @@ impl DailySteps<'_> {
         for (lesson, model) in class {
             pupils.push(Pupil { id: lesson.id, own: lesson.taught(end_nanos), model });
         }
-        train_due(self.spec, end_nanos, &mut pupils, readings)
+        train_due(self.spec, end_nanos, &mut pupils, readings, self.pace)
     }
 }

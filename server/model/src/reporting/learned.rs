@@ -2,7 +2,10 @@
 //!
 //! Invariant: an instant is learned once. Rows that come late, about instants that were learned without them, are
 //! learned as the readings that they are, unless all rows are learned anew; rows from before everything that was
-//! learned hold up to there.
+//! learned hold up to there. Where learning stops early, the rows from there on wait here, and learning goes on as if
+//! it had not stopped.
+
+use std::sync::Arc;
 
 use super::{
     Hold, Reporting, Row,
@@ -10,9 +13,9 @@ use super::{
 };
 
 /// How far the rows of a state have been learned.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LearnedRows {
-    /// Number of rows.
+    /// Number of rows, those that wait included.
     pub rows: u64,
     /// The first instant that was learned; `None`: none was.
     pub first_nanos: Option<i64>,
@@ -22,6 +25,8 @@ pub struct LearnedRows {
     pub newest: Option<Row>,
     /// Events since the next instant, which wait for the end of their step; `None`: there is no row of such.
     pub open_events: Option<f64>,
+    /// Rows that were taken and are not learned, because learning stopped before them; ascending by time.
+    pub waiting: Arc<[Row]>,
 }
 
 impl LearnedRows {
@@ -29,25 +34,76 @@ impl LearnedRows {
     /// ascend by time; the last of equal times counts. `horizon_nanos`: the rows are known to be complete up to there,
     /// exclusive; later rows move it.
     pub fn learn(self, reporting: Reporting, rows: Vec<Row>, horizon_nanos: i64) -> (RowReadings, LearnedRows) {
+        self.learn_before(reporting, rows, horizon_nanos, i64::MAX)
+    }
+
+    /// As [`LearnedRows::learn`], but what lies at `stop_nanos` or later waits for the next time.
+    pub fn learn_before(
+        self,
+        reporting: Reporting,
+        rows: Vec<Row>,
+        horizon_nanos: i64,
+        stop_nanos: i64,
+    ) -> (RowReadings, LearnedRows) {
+        let taken = self.rows + rows.len() as u64;
+        let mut rows = self.with_waiting(rows);
+        let waiting = rows.split_off(rows.partition_point(|(nanos, _)| *nanos < stop_nanos));
+        let before = LearnedRows { rows: taken, waiting: waiting.into(), ..self };
+        before.learn_all(reporting, rows, horizon_nanos.min(stop_nanos))
+    }
+
+    /// Rows with those that wait, ascending by time. Of equal times those that wait come first.
+    fn with_waiting(&self, rows: Vec<Row>) -> Vec<Row> {
+        if self.waiting.is_empty() {
+            return rows;
+        }
+        let mut all = self.waiting.to_vec();
+        all.extend(rows);
+        all.sort_by_key(|(nanos, _)| *nanos);
+        all
+    }
+
+    /// At least as many as the readings that [`LearnedRows::learn_before`] returns; at most two more for each row, and
+    /// three. It takes time for each row, and none for a reading.
+    #[must_use]
+    pub fn readings_before(&self, reporting: Reporting, rows: &[Row], horizon_nanos: i64, stop_nanos: i64) -> u64 {
+        let Some(hold) = reporting.hold() else { return rows.len() as u64 };
+        let first_nanos = self.first_nanos.unwrap_or(i64::MIN).min(stop_nanos);
+        // A row just before the first instant may still say what holds from there on.
+        let early_before = first_nanos.min(self.in_time_nanos(reporting, hold));
+        let (early, rest) = rows.split_at(rows.partition_point(|(nanos, _)| *nanos < early_before));
+        let early = RowWalk { row: None, at_nanos: i64::MIN, readings: 0 }.to(hold, early, first_nanos);
+        let merged = (!self.waiting.is_empty()).then(|| self.with_waiting(rest.to_vec()));
+        let rest = merged.as_deref().unwrap_or(rest).iter().take_while(|(nanos, _)| *nanos < stop_nanos);
+        // Late events are readings of their own; nothing holds from them on.
+        let is_late = |nanos| !reporting.is_changes() && self.is_late(reporting, nanos);
+        let (late, rest): (Vec<&Row>, Vec<&Row>) = rest.partition(|(nanos, _)| is_late(*nanos));
+        // The step of the newest row may have begun with events, and end with the next reading.
+        let begun = u64::from(self.newest.is_some());
+        let readings = early.readings.saturating_add(late.len() as u64).saturating_add(begun);
+        let held = RowWalk { row: self.newest, at_nanos: self.next_nanos, readings };
+        held.to(hold, rest, horizon_nanos.min(stop_nanos)).readings
+    }
+
+    fn learn_all(self, reporting: Reporting, rows: Vec<Row>, horizon_nanos: i64) -> (RowReadings, LearnedRows) {
         let after_rows = rows.last().map_or(i64::MIN, |(nanos, _)| nanos.saturating_add(1));
         let horizon_nanos = horizon_nanos.max(after_rows);
-        let after = LearnedRows { rows: self.rows + rows.len() as u64, ..self };
         let Some(hold) = reporting.hold() else {
             let readings = RowSpan { end_nanos: horizon_nanos, ..RowSpan::of(reporting, rows, i64::MIN) };
-            return (RowReadings::new([readings]), after);
+            return (RowReadings::new([readings]), self);
         };
         let Some(first_nanos) = self.first_nanos else {
             let Some(from_nanos) = rows.first().map(|row| start(reporting, hold, row)) else {
-                return (RowReadings::new([]), after);
+                return (RowReadings::new([]), self);
             };
-            let begun = LearnedRows { first_nanos: Some(from_nanos), next_nanos: from_nanos, ..after };
+            let begun = LearnedRows { first_nanos: Some(from_nanos), next_nanos: from_nanos, ..self };
             let (span, learned) = begun.go_on(reporting, hold, rows, horizon_nanos);
             return (RowReadings::new([span]), learned);
         };
         let mut early = rows;
         let new = early.split_off(early.partition_point(|(nanos, _)| *nanos < self.in_time_nanos(reporting, hold)));
         let late = early.split_off(early.partition_point(|(nanos, _)| *nanos < first_nanos));
-        let mut learned = after;
+        let mut learned = self.clone();
         let mut spans = Vec::new();
         if let Some(from_nanos) = early.first().map(|row| start(reporting, hold, row)) {
             learned.first_nanos = Some(from_nanos.min(first_nanos));
@@ -75,21 +131,15 @@ impl LearnedRows {
         // No step ends before the horizon: what was open is open still.
         let (waiting, ended) =
             if end_nanos > self.next_nanos { (None, self.open_events) } else { (self.open_events, None) };
-        let learned = LearnedRows {
-            next_nanos: end_nanos,
-            newest: rows.last().copied().or(self.newest),
-            open_events: if reporting.is_changes() { None } else { sum(waiting, open_events) },
-            ..self
+        let newest = rows.last().copied().or(self.newest);
+        let span = RowSpan {
+            end_nanos,
+            held: self.newest,
+            open_events: ended,
+            ..RowSpan::of(reporting, rows, self.next_nanos)
         };
-        (
-            RowSpan {
-                end_nanos,
-                held: self.newest,
-                open_events: ended,
-                ..RowSpan::of(reporting, rows, self.next_nanos)
-            },
-            learned,
-        )
+        let open_events = if reporting.is_changes() { None } else { sum(waiting, open_events) };
+        (span, LearnedRows { next_nanos: end_nanos, newest, open_events, ..self })
     }
 
     /// Whether a row of this time changes readings that have been learned.
@@ -106,6 +156,41 @@ impl LearnedRows {
         } else {
             self.next_nanos
         }
+    }
+}
+
+/// A walk over rows that counts the readings that they stand for.
+struct RowWalk {
+    /// The newest row so far.
+    row: Option<Row>,
+    /// Up to where they are counted.
+    at_nanos: i64,
+    readings: u64,
+}
+
+impl RowWalk {
+    /// Walks over these rows, of which the last holds up to the end.
+    fn to<'a>(mut self, hold: Hold, rows: impl IntoIterator<Item = &'a Row>, end_nanos: i64) -> RowWalk {
+        for &(nanos, value) in rows {
+            self = self.hold_to(hold, nanos);
+            if self.row.is_none_or(|(newest, _)| nanos >= newest) {
+                self.row = Some((nanos, value));
+            }
+            self.at_nanos = self.at_nanos.max(nanos);
+            self.readings = self.readings.saturating_add(1);
+        }
+        self.hold_to(hold, end_nanos)
+    }
+
+    /// The newest row holds up to a time, with one step for what is rounded.
+    fn hold_to(mut self, hold: Hold, to_nanos: i64) -> RowWalk {
+        if let Some((nanos, Some(_))) = self.row {
+            let held_to = to_nanos.min(nanos.saturating_add(hold.max_nanos()));
+            let held_nanos = held_to.saturating_sub(self.at_nanos.max(nanos)).max(0).unsigned_abs();
+            let steps = held_nanos / hold.step_nanos().unsigned_abs().max(1) + 1;
+            self.readings = self.readings.saturating_add(steps);
+        }
+        self
     }
 }
 

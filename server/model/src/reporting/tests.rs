@@ -112,7 +112,82 @@ fn any_rows() -> impl Strategy<Value = Vec<Row>> {
     })
 }
 
+#[test]
+fn a_row_that_is_corrected_before_anything_is_learned_of_it_counts_once() {
+    let reporting = Reporting::Changes(Hold::new(29, 8).expect("valid"));
+    let rows = vec![(3_619 * S, Some(0.0)), (4_423 * S, Some(0.0))];
+    let (_, learned) = LearnedRows::default().learn_before(reporting, rows, 0, 3_620 * S);
+    let corrected = [(3_619 * S, None)];
+    let counted = learned.readings_before(reporting, &corrected, 0, 7_240 * S);
+    let made = learned.learn_before(reporting, corrected.to_vec(), 0, 7_240 * S).0.count();
+    assert!(made == 0 && counted <= 7, "{made} readings were counted as {counted}");
+}
+
+#[test]
+fn a_step_that_has_begun_with_events_counts_when_they_end() {
+    let reporting = Reporting::Events(Hold::new(86, 86).expect("valid"));
+    let rows = vec![(111 * S, Some(0.0)), (111 * S, None)];
+    let (_, learned) = LearnedRows::default().learn_before(reporting, rows, 172 * S, 112 * S);
+    let counted = learned.readings_before(reporting, &[(343 * S, None)], 172 * S, 224 * S);
+    let made = learned.learn_before(reporting, vec![(343 * S, None)], 172 * S, 224 * S).0.count() as u64;
+    assert!(made <= counted, "{made} readings were counted as {counted}");
+}
+
+#[test]
+fn late_events_count_once_however_long_events_hold() {
+    let reporting = Reporting::Events(Hold::new(431, 1).expect("valid"));
+    let (_, learned) = LearnedRows::default().learn_before(reporting, vec![(0, None)], 3_207 * S, 2_777 * S);
+    let late = [(2_776 * S, Some(0.0))];
+    let counted = learned.readings_before(reporting, &late, 3_207 * S, 5_554 * S);
+    let made = learned.learn_before(reporting, late.to_vec(), 3_207 * S, 5_554 * S).0.count() as u64;
+    assert!(made <= counted && counted <= made + 5, "{made} readings were counted as {counted}");
+}
+
 proptest! {
+    #[test]
+    fn learning_that_stops_on_the_way_goes_on_as_if_it_had_not(
+        first in any_rows(), second in any_rows(), step in 1_u32..400, more in 0_u32..2_000, is_change: bool,
+        horizon in 0_i64..6_000, stops in prop::collection::vec(0_i64..6_000, 1..5),
+    ) {
+        let hold = Hold::new(step + more, step).expect("valid");
+        let reporting = if is_change { Reporting::Changes(hold) } else { Reporting::Events(hold) };
+        // The second rows are later than all that the first let be known.
+        let later = horizon.max(5_000) * S;
+        let second: Vec<Row> = second.into_iter().map(|(nanos, value)| (nanos + later, value)).collect();
+        let (readings, after) = LearnedRows::default().learn(reporting, first.clone(), horizon * S);
+        let (more, after) = after.learn(reporting, second.clone(), i64::MIN);
+        let at_once: Vec<(i64, f64)> = readings.chain(more).collect();
+        let mut stops: Vec<i64> = stops.into_iter().map(|stop| stop * S).collect();
+        stops.sort_unstable();
+        let (mut found, mut learned) = (Vec::new(), LearnedRows::default());
+        for (at, stop) in stops.iter().chain([&i64::MAX]).enumerate() {
+            let new = if at == 0 { first.clone() } else { Vec::new() };
+            let (readings, next) = learned.learn_before(reporting, new, horizon * S, *stop);
+            found.extend(readings);
+            learned = next;
+            prop_assert!(learned.waiting.iter().all(|(nanos, _)| nanos >= stop));
+            prop_assert!(found.iter().all(|(nanos, _)| nanos < stop));
+        }
+        let (readings, learned) = learned.learn(reporting, second, i64::MIN);
+        found.extend(readings);
+        prop_assert_eq!(found, at_once);
+        prop_assert_eq!(learned, after);
+    }
+
+    #[test]
+    fn readings_are_counted_from_above_without_being_made(
+        first in any_rows(), second in any_rows(), step in 1_u32..400, more in 0_u32..2_000, is_change: bool,
+        horizon in 0_i64..6_000, stop in 0_i64..12_000,
+    ) {
+        let hold = Hold::new(step + more, step).expect("valid");
+        let reporting = if is_change { Reporting::Changes(hold) } else { Reporting::Events(hold) };
+        let (_, learned) = LearnedRows::default().learn_before(reporting, first, horizon * S, stop / 2 * S);
+        let counted = learned.readings_before(reporting, &second, horizon * S, stop * S);
+        let rows = (learned.waiting.len() + second.len()) as u64;
+        let made = learned.learn_before(reporting, second, horizon * S, stop * S).0.count() as u64;
+        prop_assert!(made <= counted && counted <= made + 2 * rows + 3, "{made} readings were counted as {counted}");
+    }
+
     #[test]
     fn readings_are_those_of_every_instant(
         rows in any_rows(), step in 1_u32..400, more in 0_u32..2_000, horizon in 0_i64..6_000, is_change: bool,

@@ -9,7 +9,7 @@ use tidemap_model::time::format_rfc3339;
 const LATEST_NANOS: i64 = 4_102_444_800_000_000_000;
 
 /// Why a time is refused, and what it may have been meant as.
-pub(super) fn refusal(time: i64) -> String {
+pub(crate) fn refusal(time: i64) -> String {
     let secs = time as f64 / 1e9;
     let meant = [("seconds", 1_000_000_000), ("milliseconds", 1_000_000), ("microseconds", 1_000)]
         .into_iter()

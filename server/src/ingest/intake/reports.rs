@@ -1,4 +1,4 @@
-//! The traversals and sightings of one stream.
+//! The reports of one stream.
 //!
 //! Invariant: as for observations. Whether the map has an edge or a landmark is checked by its writer, which knows the
 //! site.
@@ -6,8 +6,7 @@
 use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
 use tidemap_proto::convert::{
     OverLimit,
-    reports::{ReportMessage, SentReport},
-    traversals::BATCH_TEXT_BYTES_MAX,
+    reports::{BATCH_TEXT_BYTES_MAX, ReportMessage},
 };
 
 use super::{
@@ -16,24 +15,22 @@ use super::{
 };
 
 impl Intake {
-    /// Checks a message of traversals or sightings. `None`: nothing of it is new.
+    /// Checks a message of reports. `None`: nothing of it is new.
     ///
     /// # Errors
     /// Errors that end the stream; nothing of the message was taken.
     pub(crate) fn take_reports(&mut self, message: ReportMessage) -> Result<Option<ReportBatch>, IntakeError> {
         self.check_sequences(&message.sequences)?;
-        self.check_no_open_scan("message", "traversals and sightings")?;
+        self.check_no_open_scan("message", "reports")?;
         message.check_count(self.limits.batch)?;
         let ReportMessage { sequences, reports } = message;
         let (first, last) = sequences.into_inner();
-        let bytes = reports.iter().map(SentReport::text_bytes).sum();
-        let what = "bytes of the names and reasons of one message of traversals or sightings";
+        let bytes = reports.iter().map(|sent| sent.text_bytes).sum();
+        let what = "bytes of the names and reasons of one message of reports";
         OverLimit::check(what, bytes, BATCH_TEXT_BYTES_MAX, "the protocol")?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         for (sequence, sent) in (first..).zip(reports.iter().take(skip)) {
-            self.rows.clear();
-            sent.append_content(&mut self.rows);
-            self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &self.rows))?;
+            self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &sent.content))?;
         }
         if last < self.next_sequence {
             return Ok(None);
@@ -42,22 +39,21 @@ impl Intake {
             span: SequenceSpan { first: self.next_sequence, last, content_crc: 0 },
             ..ReportBatch::default()
         };
-        self.rows.clear();
-        for (sequence, sent) in (self.next_sequence..).zip(&reports[skip..]) {
-            sent.append_content(&mut self.rows);
-            let time_nanos = sent.time_nanos();
-            match sent.check() {
-                Ok(_) if time_nanos < self.earliest_nanos => {
-                    let (reason, detail) = (RefusalReason::Time, shortened(&early::refusal(time_nanos)));
-                    batch.refused.push(RefusedObservation { sequence, reason, detail });
+        for (sequence, sent) in (self.next_sequence..).zip(reports.into_iter().skip(skip)) {
+            self.content_crc = crc32c::crc32c_append(self.content_crc, &sent.content);
+            let refused = match sent.checked {
+                Ok(_) if sent.time_nanos < self.earliest_nanos => {
+                    (RefusalReason::Time, early::refusal(sent.time_nanos))
                 }
-                Ok(report) => batch.reports.push((sequence, report)),
-                Err((reason, detail)) => {
-                    batch.refused.push(RefusedObservation { sequence, reason, detail: shortened(&detail) });
+                Ok(report) => {
+                    batch.reports.push((sequence, report));
+                    continue;
                 }
-            }
+                Err(refused) => refused,
+            };
+            let (reason, detail) = (refused.0, shortened(&refused.1));
+            batch.refused.push(RefusedObservation { sequence, reason, detail });
         }
-        self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
         self.next_sequence = last + 1;
         batch.span.content_crc = self.content_crc;
         self.known.took(last, self.content_crc);

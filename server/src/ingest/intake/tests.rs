@@ -1,9 +1,7 @@
 //! Observations and scans as a stream sends them: what is taken, skipped, refused, and what ends the stream.
 
 use tidemap_proto::{
-    convert::{
-        columns::encode, observe::observations_from_wire, reports::traversals_from_wire, scans::scans_from_wire,
-    },
+    convert::{columns::encode, observe::observations_from_wire, reports::reports_from_wire, scans::scans_from_wire},
     v1::{self, PointCloud, Scan, scan::Content},
 };
 
@@ -14,7 +12,7 @@ use crate::ingest::protocol::ReportBatch;
 pub(crate) trait TakeSent {
     fn take_sent(&mut self, batch: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError>;
     fn begin_sent_scans(&mut self, batch: v1::ScanBatch) -> Result<bool, IntakeError>;
-    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<ReportBatch>, IntakeError>;
+    fn take_sent_reports(&mut self, batch: v1::ReportBatch) -> Result<Option<ReportBatch>, IntakeError>;
 }
 
 impl TakeSent for Intake {
@@ -26,8 +24,8 @@ impl TakeSent for Intake {
         self.begin_scans(scans_from_wire(batch)?)
     }
 
-    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<ReportBatch>, IntakeError> {
-        self.take_reports(traversals_from_wire(batch)?)
+    fn take_sent_reports(&mut self, batch: v1::ReportBatch) -> Result<Option<ReportBatch>, IntakeError> {
+        self.take_reports(reports_from_wire(&batch)?)
     }
 }
 

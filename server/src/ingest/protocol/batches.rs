@@ -12,7 +12,7 @@ use tidemap_map::{
     event::{Position, SequenceSpan, StateShape, StatedReporting},
     ids::RefusalReason,
     name::StateName,
-    sighting::PlaceReport,
+    report::Report,
 };
 
 /// A refused observation.
@@ -120,13 +120,13 @@ pub(crate) struct ScanBatch {
     pub bytes: usize,
 }
 
-/// Checked traversals or sightings of one message.
+/// Checked reports of one message.
 #[derive(Debug, Default)]
 pub(crate) struct ReportBatch {
     /// What is new of the message; not empty.
     pub span: SequenceSpan,
     /// The valid reports with their sequence numbers. The map's writer checks whether edges and landmarks exist.
-    pub reports: Vec<(u64, PlaceReport)>,
+    pub reports: Vec<(u64, Report)>,
     /// The refused reports.
     pub refused: Vec<RefusedObservation>,
 }

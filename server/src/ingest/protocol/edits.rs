@@ -17,8 +17,34 @@ use crate::ingest::role::NotWriter;
 #[derive(Debug)]
 pub(crate) struct AddState {
     pub state: DeclaredState,
+    /// The client that asks, as shares name it; empty if it has no share of its own.
+    pub client: String,
     /// The answer, after the state is durable and published.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
+}
+
+/// Why a map has no room for another state, or for other tiles.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum NoRoom {
+    #[error("the map has {max} states, as many as setting max_states_per_map allows")]
+    States { max: usize },
+    #[error(
+        "{client} has added {max} states since the daemon opened the map, half of the room that there was, and the rest \
+         is for other clients: raise setting max_states_per_map"
+    )]
+    StatesOfClient { client: String, max: usize },
+    #[error("the map has {max} tiles, as many as setting max_tiles_per_map allows")]
+    Tiles { max: usize },
+    #[error(
+        "{client} has added {max} tiles since the daemon opened the map, half of the room that there was, and the rest \
+         is for other clients: raise setting max_tiles_per_map"
+    )]
+    TilesOfClient { client: String, max: usize },
+    #[error(
+        "the states of this map that report changes or events would stand for more than {max} readings a day: report \
+         this one with a longer step (--hold-step)"
+    )]
+    Readings { max: u64 },
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -31,8 +57,39 @@ pub(crate) enum AddStateError {
     OtherReporting { name: StateName, found: Reporting, asked: StatedReporting },
     #[error("state {name:?} exists with other labels: the labels of a state never change; add them under another name, or erase the state first", name = .name.as_str())]
     OtherLabels { name: StateName },
-    #[error("the map has {max} states, as many as setting max_states_per_map allows")]
-    TooMany { max: usize },
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
+    #[error(transparent)]
+    NotWriter(#[from] NotWriter),
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    #[error("the map is closing")]
+    Closing,
+}
+
+/// Producers that give their places up.
+#[derive(Debug)]
+pub(crate) struct ForgetProducers {
+    pub producer: String,
+    /// `None`: all labels.
+    pub label: Option<String>,
+    /// The answer, after it is durable: how many keys have given their places up.
+    pub reply: oneshot::Sender<Result<u64, ForgetError>>,
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum ForgetError {
+    #[error("the map has no producer {producer:?}{}: tidemap producer list shows those it has", match .label {
+        Some(label) => format!(" with label {label:?}"),
+        None => String::new(),
+    })]
+    Unknown { producer: String, label: Option<String> },
+    #[error("producer {producer:?} sends to the map now, with label {label:?}: stop its stream first")]
+    Streaming { producer: String, label: String },
+    #[error(
+        "{forgotten} producer keys of the map are forgotten, and at most {max} may be: raise setting max_producers_per_map"
+    )]
+    TooMany { forgotten: usize, max: usize },
     #[error(transparent)]
     NotWriter(#[from] NotWriter),
     #[error(transparent)]

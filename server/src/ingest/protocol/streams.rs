@@ -21,6 +21,8 @@ pub(crate) struct Hello {
     pub key: ProducerKey,
     /// 0: a new incarnation is requested.
     pub incarnation: u64,
+    /// The client, as shares count it; empty: it has no share of its own.
+    pub client: String,
     /// How to ask this stream's client whether it is still there, if it answers.
     pub probe: Option<Probe>,
     /// The stream of the key that did not answer; this one takes over.
@@ -62,6 +64,16 @@ pub(crate) enum HelloError {
     Fenced { key: ProducerKey, got: u64, current: u64 },
     #[error("the map has {max} producer keys, as many as setting max_producers_per_map allows")]
     TooManyProducers { max: usize },
+    #[error(
+        "{client} has introduced {max} producer keys of the map, as many as setting max_producers_per_client allows. \
+         tidemap producer forget frees the places of those that will not come back"
+    )]
+    TooManyOfClient { client: String, max: usize },
+    #[error(
+        "producer {:?} with label {:?} was forgotten, and begins anew: open the stream with incarnation 0. Its sequence \
+         goes on after what it has sent", key.producer(), key.label()
+    )]
+    Forgotten { key: ProducerKey },
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
     #[error("the map has no grid: a sensor has nothing to observe there")]
@@ -92,8 +104,8 @@ pub(crate) enum SessionEvent {
     End(Ending),
 }
 
-/// Room in the buffers of a stream and of all streams; dropping it gives it back.
-pub(crate) type BufferBudget = [OwnedSemaphorePermit; 2];
+/// Room in the buffers of a stream, its client, its map and all streams; dropping it gives it back.
+pub(crate) type BufferBudget = Vec<OwnedSemaphorePermit>;
 
 /// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
 #[derive(Debug)]
@@ -102,7 +114,7 @@ pub(crate) enum StreamData {
     Observations(ObservationBatch, BufferBudget),
     /// Checked scans.
     Scans(ScanBatch, BufferBudget),
-    /// Checked traversals or sightings.
+    /// Checked reports.
     Reports(ReportBatch, BufferBudget),
     /// The end of the stream.
     End {

@@ -51,6 +51,7 @@ impl Sessions {
             values: Vec::with_capacity(count),
             ..Observations::default()
         };
+        let mut room = self.state_places.room(&session.client, map.states() + self.states_in_flight.states());
         for i in 0..count {
             let time = batch.times_nanos[i];
             let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
@@ -60,14 +61,7 @@ impl Sessions {
                 continue;
             }
             let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let mut allocator = StateAllocator {
-                map,
-                in_flight: &mut self.states_in_flight,
-                renames: &self.renames_in_flight,
-                reportings: &mut self.reportings_in_flight,
-                categorical: &self.categorical_in_flight,
-                max: self.limits.states,
-            };
+            let mut allocator = StateAllocator { map, in_flight: &mut self.states_in_flight, room: &mut room };
             let has_parts = position.is_some() || shares.is_some();
             let observed =
                 match slot.state_for(batch.values[i], has_parts, &mut allocator, &mut observations.new_states) {
@@ -88,6 +82,7 @@ impl Sessions {
                 observations.push(StateId(state), Sample { utc_nanos: time, offset_secs, value });
             }
         }
+        self.state_places.take(&session.client, room.taken());
         let envelope = session.envelope(map, &mut self.producers_in_flight, now, batch.span, &mut refused);
         Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
     }

@@ -155,13 +155,12 @@ impl Sessions {
             }
         }
         let offset_secs = self.offsets.offset_secs(scan.utc_nanos);
-        let Ok(taken) = log_head.take(grid, stream, source, &scan, offset_secs, self.limits.tiles) else {
-            let detail = format!(
-                "the scan has new tiles, and the map would have more than the {} that setting max_tiles_per_map allows",
-                self.limits.tiles
-            );
-            return refuse(RefusalReason::TileLimit, detail);
+        let room = self.tile_places.room(&session.client, log_head.tiles());
+        let max = log_head.tiles().saturating_add(room.left());
+        let Ok(taken) = log_head.take(grid, stream, source, &scan, offset_secs, max) else {
+            return refuse(RefusalReason::TileLimit, format!("the scan has new tiles: {}", room.full()));
         };
+        self.tile_places.take(&session.client, taken.new_tiles.len());
         let tiles_ahead = if is_ahead { scan.seen.len() as u64 } else { 0 };
         self.tiles_ahead += tiles_ahead;
         Ok(Some((taken, tiles_ahead)))

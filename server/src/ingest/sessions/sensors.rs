@@ -63,7 +63,7 @@ mod tests {
     }
 
     fn sessions() -> Sessions {
-        let limits = SessionLimits { states: 10, producers: 1000, ahead: 10, tiles: 10 };
+        let limits = SessionLimits { states: 10, producers: 1000, producers_of_client: 1000, ahead: 10, tiles: 10 };
         Sessions::new(Zone::named("Europe/London").expect("known").offset_cache(), limits)
     }
 
@@ -77,7 +77,17 @@ mod tests {
 
     fn hello(name: &str, sensor: Option<ProducerSensor>) -> Hello {
         let (events, reply) = (mpsc::unbounded_channel().0, oneshot::channel().0);
-        Hello { key: key(name), incarnation: 0, probe: None, takes_over: None, nightly: false, sensor, events, reply }
+        Hello {
+            key: key(name),
+            incarnation: 0,
+            client: String::new(),
+            probe: None,
+            takes_over: None,
+            nightly: false,
+            sensor,
+            events,
+            reply,
+        }
     }
 
     /// The first event of a producer.
@@ -85,7 +95,7 @@ mod tests {
         let producer = ProducerId(u32::try_from(map.producers()).expect("few"));
         let envelope = Envelope {
             producer,
-            new_producer: Some(NewProducer { key: key(name), sensor }),
+            new_producer: Some(NewProducer { key: key(name), sensor, introduced_by: String::new() }),
             incarnation: 1,
             span: SequenceSpan { first: 1, last: 1, content_crc: 0 },
             received_nanos: 0,

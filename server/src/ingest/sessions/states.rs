@@ -6,9 +6,9 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{Dimensions, NewState, Reporting, RowKind, StateKind, StateShape, StatedReporting},
+    event::{NewState, Reporting, RowKind, StateKind, StateShape, StatedReporting},
     ids::{RefusalReason, StateId},
-    live_map::{LiveMap, rename::renamed_states},
+    live_map::{LiveMap, ROW_READINGS_A_DAY_MAX, rename::renamed_states},
     name::StateName,
     site::{InvalidEdit, SiteEdit},
 };
@@ -17,9 +17,11 @@ use tidemap_proto::convert::vectors::{DeclaredState, cannot_report};
 use super::{
     super::{
         intake::refuse_value,
-        protocol::{AddStateError, NewName},
+        protocol::{AddStateError, NewName, NoRoom},
     },
     Sessions,
+    places::Room,
+    states_in_flight::{KnownState, StatesInFlight},
 };
 
 /// Why an observation is refused, for programs and for people.
@@ -45,13 +47,9 @@ pub(super) enum StreamState {
 /// Allocates states, up to a limit.
 pub(super) struct StateAllocator<'a> {
     pub(super) map: &'a LiveMap,
-    pub(super) in_flight: &'a mut HashMap<StateName, (StateId, StateKind)>,
-    pub(super) renames: &'a HashMap<StateName, (StateId, StateKind)>,
-    /// Of states in flight that do not report samples.
-    pub(super) reportings: &'a mut HashMap<StateId, Reporting>,
-    /// Categorical states in flight.
-    pub(super) categorical: &'a HashMap<StateName, (StateId, u8)>,
-    pub(super) max: usize,
+    pub(super) in_flight: &'a mut StatesInFlight,
+    /// The room that the client has.
+    pub(super) room: &'a mut Room,
 }
 
 impl StreamState {
@@ -102,15 +100,15 @@ pub(super) struct ObservedState {
 fn used_label(name: &StateName, state: &str, allocator: &StateAllocator<'_>) -> Result<StreamState, Refusal> {
     let whole = StateName::new(state).map_err(|error| (RefusalReason::StateName, format!("state {error}")))?;
     match allocator.known(&whole) {
-        Some((first, StateShape::Categorical(labels))) => match allocator.known(name) {
-            Some((held, _)) => Ok(StreamState::Label(first, labels, held)),
+        Some(KnownState { id: first, shape: StateShape::Categorical(labels), .. }) => match allocator.known(name) {
+            Some(held) => Ok(StreamState::Label(first, labels, held.id)),
             None => {
                 let known = allocator.labels(first, labels);
                 let (label, known) = (name.as_label().map_or("", |(_, label)| label), known.join(", "));
                 Err((RefusalReason::Value, format!("state {state:?} has no label {label:?}: its labels are {known}")))
             }
         },
-        Some((_, found)) => Err(other_shape(&whole, found, Some(StateShape::Categorical(0)))),
+        Some(found) => Err(other_shape(&whole, found.shape, Some(StateShape::Categorical(0)))),
         None => Err(no_labels(&whole)),
     }
 }
@@ -138,22 +136,25 @@ fn used(
     let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
     match allocator.known(name) {
         // A name without a declared shape has single values.
-        Some((state, found)) if *said == Some(found) || (said.is_none() && found.is_single()) => {
-            let reporting = allocator.reporting(state);
+        Some(KnownState { id, shape: found, reporting, .. })
+            if *said == Some(found) || (said.is_none() && found.is_single()) =>
+        {
             Ok(match stated {
                 Some(stated) if !stated.fits(reporting) => {
                     StreamState::OtherReporting(name.clone(), reporting, *stated)
                 }
-                _ => StreamState::State(state, found, reporting),
+                _ => StreamState::State(id, found, reporting),
             })
         }
-        Some((_, found @ StateShape::Categorical(labels))) if matches!(shape, StateShape::Categorical(_)) => {
+        Some(KnownState { shape: StateShape::Categorical(labels), .. })
+            if matches!(shape, StateShape::Categorical(_)) =>
+        {
             let (name, sent) = (name.as_str().chars().take(60).collect::<String>(), shape.states());
             let text = format!("state {name:?} has {labels} labels, not {sent}: send a share of each");
-            debug_assert_ne!(found, shape, "equal shapes are taken above");
+            debug_assert_ne!(usize::from(labels), sent, "equal shapes are taken above");
             Err((RefusalReason::Value, text))
         }
-        Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
+        Some(found) => Ok(StreamState::OtherShape(name.clone(), found.shape, *said)),
         None if matches!(shape, StateShape::Categorical(_)) => Err(no_labels(name)),
         None if !shape.may_report(reporting) => Err((RefusalReason::StateKind, cannot_report(shape, reporting.kind()))),
         // An invalid value does not create a state. Intake has checked positions.
@@ -161,12 +162,12 @@ fn used(
             Err(refuse_value(value, shape))
         }
         None => match allocator.add(name, shape, reporting) {
-            Some(new) => {
+            Ok(new) => {
                 let state = new.id;
                 new_states.push(new);
                 Ok(StreamState::State(state, shape, reporting))
             }
-            None => Err(allocator.is_full(name)),
+            Err(no_room) => Err(is_full(name, &no_room)),
         },
     }
 }
@@ -181,22 +182,23 @@ impl StateAllocator<'_> {
         let mut known = Vec::with_capacity(wanted.len());
         for (name, kind) in wanted {
             known.push(match self.known(name) {
-                Some((_, found)) if found != StateShape::Scalar(*kind) => {
-                    return Err(other_shape(name, found, Some(StateShape::Scalar(*kind))));
+                Some(found) if found.shape != StateShape::Scalar(*kind) => {
+                    return Err(other_shape(name, found.shape, Some(StateShape::Scalar(*kind))));
                 }
-                found => found.map(|(state, _)| state),
+                found => found.map(|found| found.id),
             });
         }
         let new = known.iter().filter(|known| known.is_none()).count();
-        let room = self.max.saturating_sub(self.map.states() + self.in_flight.len());
+        let room = self.room.left();
         let mut states = Vec::with_capacity(wanted.len());
         for (known, (name, kind)) in known.into_iter().zip(wanted) {
             states.push(match known {
                 Some(state) => state,
                 None => {
                     let shape = StateShape::Scalar(*kind);
-                    let added = if new <= room { self.add(name, shape, Reporting::Samples) } else { None };
-                    let added = added.ok_or_else(|| self.is_full(name))?;
+                    let full = Err(self.room.full());
+                    let added = if new <= room { self.add(name, shape, Reporting::Samples) } else { full };
+                    let added = added.map_err(|no_room| is_full(name, &no_room))?;
                     let state = added.id;
                     new_states.push(added);
                     state
@@ -207,66 +209,46 @@ impl StateAllocator<'_> {
     }
 
     /// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
-    fn known(&self, name: &StateName) -> Option<(StateId, StateShape)> {
-        known_state(self.map, self.in_flight, (self.renames, self.categorical), name)
+    fn known(&self, name: &StateName) -> Option<KnownState> {
+        self.in_flight.known(self.map, name)
     }
 
     /// The labels of a categorical state.
     fn labels(&self, first: StateId, labels: u8) -> Vec<String> {
         let ids = first.0..first.0.saturating_add(u32::from(labels));
         let of_map = ids.clone().filter_map(|id| Some((StateId(id), self.map.name(StateId(id))?)));
-        let in_flight = self.in_flight.iter().map(|(name, (id, _))| (*id, name));
+        let in_flight = self.in_flight.iter().map(|((id, _), name)| (id, name));
         let in_flight = in_flight.filter(|(id, _)| ids.contains(&id.0));
         let mut named: Vec<(StateId, &StateName)> = of_map.chain(in_flight).collect();
         named.sort_by_key(|(id, _)| *id);
         named.into_iter().filter_map(|(_, name)| Some(name.as_label()?.1.to_owned())).collect()
     }
 
-    /// The refusal of a state beyond the limit.
-    fn is_full(&self, name: &StateName) -> Refusal {
-        let name = name.as_str().chars().take(60).collect::<String>();
-        let text = format!(
-            "the state would be new, and the map has {} states, as many as setting max_states_per_map allows: {name:?}",
-            self.max
-        );
-        (RefusalReason::StateLimit, text)
+    /// Allocates a state, or all axes of a vector, if there is room.
+    fn add(&mut self, name: &StateName, shape: StateShape, reporting: Reporting) -> Result<NewState, NoRoom> {
+        let (name, labels) = (name.clone(), Vec::new());
+        self.allocate(NewState { id: StateId(0), name, shape, labels, sensor: None, reporting })
     }
 
-    /// How a state of the map, or in flight, is reported.
-    fn reporting(&self, state: StateId) -> Reporting {
-        self.reportings.get(&state).copied().unwrap_or_else(|| self.map.reporting(state))
-    }
-
-    /// Allocates a state, or all axes of a vector; `None` if the limit allows no more.
-    fn add(&mut self, name: &StateName, shape: StateShape, reporting: Reporting) -> Option<NewState> {
-        self.add_labelled(name, (shape, Vec::new()), reporting)
-    }
-
-    /// As [`StateAllocator::add`], with the states of the labels of a categorical state.
-    fn add_labelled(
-        &mut self,
-        name: &StateName,
-        (shape, labels): (StateShape, Vec<StateName>),
-        reporting: Reporting,
-    ) -> Option<NewState> {
-        let next = self.map.states() + self.in_flight.len();
-        if next.saturating_add(shape.states()) > self.max {
-            return None;
+    /// Gives a new state its number, if there is room for it.
+    fn allocate(&mut self, new: NewState) -> Result<NewState, NoRoom> {
+        let next = self.map.states() + self.in_flight.states();
+        let known = self.map.row_readings_a_day().saturating_add(self.in_flight.readings_a_day());
+        let readings = known.saturating_add(new.reporting.readings_a_day());
+        if new.reporting.may_end() && readings > ROW_READINGS_A_DAY_MAX {
+            return Err(NoRoom::Readings { max: ROW_READINGS_A_DAY_MAX });
         }
-        let new = NewState {
-            id: StateId(u32::try_from(next).unwrap_or(u32::MAX)),
-            name: name.clone(),
-            shape,
-            labels,
-            sensor: None,
-            reporting,
-        };
-        if reporting.may_end() {
-            self.reportings.insert(new.id, reporting);
-        }
-        self.in_flight.extend(new.states().map(|(id, name, kind)| (name, (id, kind))));
-        Some(new)
+        self.room.take(new.shape.states())?;
+        let new = NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), ..new };
+        self.in_flight.add(&new);
+        Ok(new)
     }
+}
+
+/// The refusal of a state for which there is no room.
+fn is_full(name: &StateName, no_room: &NoRoom) -> Refusal {
+    let name = name.as_str().chars().take(60).collect::<String>();
+    (RefusalReason::StateLimit, format!("the state would be new: {name:?}; {no_room}"))
 }
 
 impl Sessions {
@@ -275,58 +257,47 @@ impl Sessions {
     pub(crate) fn add_state(
         &mut self,
         DeclaredState { name, shape, labels, sensor, reporting: stated }: &DeclaredState,
+        client: &str,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
         let (shape, sensor) = (*shape, *sensor);
-        let others = (&self.renames_in_flight, &self.categorical_in_flight);
-        match known_state(map, &self.states_in_flight, others, name) {
-            Some((first, found)) if found == shape && !labels.is_empty() => {
+        match self.states_in_flight.known(map, name) {
+            Some(found) if found.shape == shape && !labels.is_empty() => {
                 let is_own = |(label, id): (&StateName, u32)| {
-                    let known = map.find(label.as_str());
-                    known.or_else(|| self.states_in_flight.get(label).map(|(known, _)| *known)) == Some(StateId(id))
+                    let known = map.find(label.as_str()).or_else(|| self.states_in_flight.state(label));
+                    known == Some(StateId(id))
                 };
-                if labels.iter().zip(first.0..).all(is_own) {
+                if labels.iter().zip(found.id.0..).all(is_own) {
                     Ok(None)
                 } else {
                     Err(AddStateError::OtherLabels { name: name.clone() })
                 }
             }
-            Some((_, StateShape::Categorical(_))) if !labels.is_empty() => {
+            Some(KnownState { shape: StateShape::Categorical(_), .. }) if !labels.is_empty() => {
                 Err(AddStateError::OtherLabels { name: name.clone() })
             }
-            Some((state, found)) if found == shape => {
-                let reporting = self.reportings_in_flight.get(&state).copied();
-                let reporting = reporting.unwrap_or_else(|| map.reporting(state));
-                if let Some(asked) = stated.filter(|stated| !stated.fits(reporting)) {
-                    return Err(AddStateError::OtherReporting { name: name.clone(), found: reporting, asked });
+            Some(found) if found.shape == shape => {
+                if let Some(asked) = stated.filter(|stated| !stated.fits(found.reporting)) {
+                    return Err(AddStateError::OtherReporting { name: name.clone(), found: found.reporting, asked });
                 }
-                let found = map.sensor(state).or_else(|| self.sensors_in_flight.get(&state).copied());
                 match sensor {
-                    Some(asked) if found != Some(asked) => {
-                        Err(AddStateError::OtherSensor { name: name.clone(), found, asked })
+                    Some(asked) if found.sensor != Some(asked) => {
+                        Err(AddStateError::OtherSensor { name: name.clone(), found: found.sensor, asked })
                     }
                     _ => Ok(None),
                 }
             }
-            Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: shape }),
+            Some(found) => Err(AddStateError::OtherKind { name: name.clone(), found: found.shape, asked: shape }),
             None => {
-                let mut allocator = StateAllocator {
-                    map,
-                    in_flight: &mut self.states_in_flight,
-                    renames: &self.renames_in_flight,
-                    reportings: &mut self.reportings_in_flight,
-                    categorical: &self.categorical_in_flight,
-                    max: self.limits.states,
-                };
+                let mut room = self.state_places.room(client, map.states() + self.states_in_flight.states());
+                let in_flight = &mut self.states_in_flight;
+                let mut allocator = StateAllocator { map, in_flight, room: &mut room };
                 let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
-                let new = allocator
-                    .add_labelled(name, (shape, labels.clone()), reporting)
-                    .ok_or(AddStateError::TooMany { max: self.limits.states })?;
-                if let StateShape::Categorical(labels) = shape {
-                    self.categorical_in_flight.insert(name.clone(), (new.id, labels));
-                }
-                self.sensors_in_flight.extend(sensor.map(|sensor| (new.id, sensor)));
-                Ok(Some(NewState { sensor, ..new }))
+                let (name, labels) = (name.clone(), labels.clone());
+                let new = NewState { id: StateId(0), name, shape, labels, sensor, reporting };
+                let new = allocator.allocate(new)?;
+                self.state_places.take(client, room.taken());
+                Ok(Some(new))
             }
         }
     }
@@ -336,69 +307,35 @@ impl Sessions {
     /// # Errors
     /// A name that is invalid, or that another state has; then none is reserved.
     pub(crate) fn keep_names(&mut self, edit: &SiteEdit, map: &LiveMap) -> Result<(), InvalidEdit> {
-        let in_flight = self.states_in_flight.iter().map(|(name, known)| (*known, name));
+        let in_flight = self.states_in_flight.iter();
         let known = map.names().map(|(id, name)| ((id, map.kind(id).unwrap_or_default()), name));
         let renamed: Vec<_> = renamed_states(edit, known.chain(in_flight));
         let mut kept = HashMap::new();
         for ((id, kind), name) in renamed {
             let name = name?;
             let of_another = map.shape(name.as_str()).map(|(other, _)| other);
-            let of_another = of_another.or(self.states_in_flight.get(&name).map(|&(other, _)| other));
+            let of_another = of_another.or(self.states_in_flight.state(&name));
             if of_another.is_some_and(|other| other != id) || kept.contains_key(&name) {
                 let state = map.names().find(|(other, _)| *other == id).map_or("", |(_, name)| name.as_str());
                 return Err(InvalidEdit::StateExists { state: state.to_owned(), name: name.to_string() });
             }
             kept.insert(name, (id, kind));
         }
-        self.renames_in_flight = kept;
+        self.states_in_flight.end_renames();
+        self.states_in_flight.rename(kept, map);
         Ok(())
     }
 
     /// The edit was applied, or has failed.
     pub(crate) fn renamed(&mut self) {
-        self.renames_in_flight.clear();
+        self.states_in_flight.end_renames();
     }
 
     /// An added state was applied to the map.
-    pub(crate) fn state_added(&mut self, new: &NewState) {
-        for (_, name, _) in new.states() {
-            self.states_in_flight.remove(&name);
-        }
-        self.categorical_in_flight.remove(&new.name);
-        self.sensors_in_flight.remove(&new.id);
-        self.reportings_in_flight.remove(&new.id);
+    pub(crate) fn state_added(&mut self, new: &NewState, client: &str) {
+        let count = self.states_in_flight.remove(new);
+        self.state_places.applied(client, count);
     }
-}
-
-/// Names that states will have, and categorical states in flight.
-type OtherNames<'a> = (&'a HashMap<StateName, (StateId, StateKind)>, &'a HashMap<StateName, (StateId, u8)>);
-
-/// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
-fn known_state(
-    map: &LiveMap,
-    in_flight: &HashMap<StateName, (StateId, StateKind)>,
-    (renames, categorical): OtherNames<'_>,
-    name: &StateName,
-) -> Option<(StateId, StateShape)> {
-    if let Some(known) = map.shape(name.as_str()) {
-        return Some(known);
-    }
-    if let Some(&(state, kind)) = in_flight.get(name).or_else(|| renames.get(name)) {
-        return Some((state, kind.into()));
-    }
-    if let Some(&(first, labels)) = categorical.get(name) {
-        return Some((first, StateShape::Categorical(labels)));
-    }
-    // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
-    if name.as_str().contains('/') {
-        return None;
-    }
-    if let Some(&(cos, _)) = in_flight.get(&name.angle_axis(0)) {
-        return Some((cos, StateShape::Angle));
-    }
-    let &(first, _) = in_flight.get(&name.axis(0))?;
-    let has_z = in_flight.contains_key(&name.axis(2));
-    Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
 }
 
 /// The refusal of a state whose shape differs from the declared one.

@@ -57,7 +57,7 @@ fn saved(folder: &Path, pieces: &[Arc<HistoryPiece>]) -> Store {
     let mut map = LiveMap::new(Arc::new(spec()));
     let start = map.plan_update(None, 0, UpdateCause::Request);
     let work = map.apply(1, &tidemap_map::event::Event::UpdateStart(start)).expect("consistent").expect("an update");
-    let snapshot = map.finish_update(work.run(&Default::default()).expect("in memory"));
+    let snapshot = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("in memory"));
     store.save(MapId(1), &MapSnapshot { history: pieces.to_vec(), ..snapshot }).expect("saved");
     store
 }

@@ -15,7 +15,7 @@ use super::Writer;
 use crate::{
     ingest::{
         ending::is_fatal,
-        protocol::{AddStateError, BufferBudget, Command, EditSiteError, RefusedObservation, SessionId},
+        protocol::{AddStateError, BufferBudget, Command, EditSiteError, ForgetError, RefusedObservation, SessionId},
     },
     jobs::{JobCause, UpdateJob},
 };
@@ -44,10 +44,16 @@ pub(super) enum InFlight {
     /// The end of an update, in a log that daemons share.
     UpdateDone { event: Event },
     /// A state to add.
-    AddState { event: Event, reply: Reply<AddStateError> },
+    AddState { event: Event, client: String, reply: Reply<AddStateError> },
     /// An edit of the site.
     EditSite { event: Event, reply: Reply<EditSiteError> },
+    /// Producers that give their places up, and how many.
+    ForgetProducers { event: Event, count: u64, reply: oneshot::Sender<Result<u64, ForgetError>> },
 }
+
+/// The map and its log disagree, and the daemon stops.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Disagreement;
 
 impl InFlight {
     fn event(&self) -> &Event {
@@ -55,7 +61,8 @@ impl InFlight {
         | Self::UpdateStart { event, .. }
         | Self::UpdateDone { event }
         | Self::AddState { event, .. }
-        | Self::EditSite { event, .. }) = self;
+        | Self::EditSite { event, .. }
+        | Self::ForgetProducers { event, .. }) = self;
         event
     }
 
@@ -199,7 +206,7 @@ impl Writer {
         let Some(append) = self.appends.pop() else { return };
         match (result, append) {
             (Ok(position), InFlight::Stream { session, event, refused, tiles_ahead, .. }) => {
-                if self.apply(position, &event).is_none() {
+                if self.apply(position, &event).is_err() {
                     return;
                 }
                 self.tell_applied(&event);
@@ -210,22 +217,27 @@ impl Writer {
                 self.sessions.applied(session, &event, tiles_ahead);
             }
             (Ok(position), InFlight::UpdateStart { event, job }) => match self.apply(position, &event) {
-                Some(Some(work)) => self.run_update(work, &job),
+                Ok(Some(work)) => self.run_update(work, &job),
                 _ => job.end(Err("the update did not start".to_owned())),
             },
             (Ok(position), InFlight::UpdateDone { event }) => {
-                if self.apply(position, &event).is_some() {
+                if self.apply(position, &event).is_ok() {
                     self.update_end_said(&event);
                 }
             }
-            (Ok(position), InFlight::AddState { event, reply }) => {
-                if self.apply(position, &event).is_some() {
-                    self.state_added(&event, reply);
+            (Ok(position), InFlight::AddState { event, client, reply }) => {
+                if self.apply(position, &event).is_ok() {
+                    self.state_added(&event, &client, reply);
                 }
             }
             (Ok(position), InFlight::EditSite { event, reply }) => {
-                if self.apply(position, &event).is_some() {
+                if self.apply(position, &event).is_ok() {
                     self.site_edited(reply, Ok(()));
+                }
+            }
+            (Ok(position), InFlight::ForgetProducers { event, count, reply }) => {
+                if self.apply(position, &event).is_ok() {
+                    self.producers_forgotten(count, reply);
                 }
             }
             (Err(error), append) => self.append_failed(error, append),
@@ -248,7 +260,8 @@ impl Writer {
             | Event::AddState(_)
             | Event::EditSite(_)
             | Event::Epoch(_)
-            | Event::UpdateDone(_) => {}
+            | Event::UpdateDone(_)
+            | Event::ForgetProducers(_) => {}
         }
         metrics::counter!("tidemap_refused_total").increment(envelope.refused.len() as u64);
     }
@@ -280,6 +293,11 @@ impl Writer {
                     // The client may have gone away.
                     let _ = reply.send(Err(error));
                 }
+                InFlight::ForgetProducers { reply, .. } => {
+                    let error = not_writer.clone().map_or(ForgetError::Storage(error), ForgetError::NotWriter);
+                    // The client may have gone away.
+                    let _ = reply.send(Err(error));
+                }
                 InFlight::EditSite { reply, .. } => {
                     let error = not_writer.clone().map_or(EditSiteError::Storage(error), EditSiteError::NotWriter);
                     self.site_edited(reply, Err(error));
@@ -297,15 +315,18 @@ impl Writer {
         let _ = self.context.fatal.send(reason);
     }
 
-    /// Applies a durable event. `None`: the map and its log disagree, and the daemon stops.
-    pub(super) fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
+    /// Applies a durable event; gives the work of an update that begins.
+    ///
+    /// # Errors
+    /// The map and its log disagree, and the daemon stops.
+    pub(super) fn apply(&mut self, position: u64, event: &Event) -> Result<Option<UpdateWork>, Disagreement> {
         self.changed = true;
         match self.map.apply(position, event) {
-            Ok(work) => Some(work),
+            Ok(work) => Ok(work),
             Err(inconsistent) => {
                 error!(map = %self.map.spec().name, error = %inconsistent, "the map and its log disagree");
                 self.fatal(inconsistent.to_string());
-                None
+                Err(Disagreement)
             }
         }
     }

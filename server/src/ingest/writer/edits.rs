@@ -6,12 +6,13 @@
 use std::collections::VecDeque;
 
 use tidemap_map::event::Event;
+use tokio::sync::oneshot;
 
 use super::{
     Writer,
     appends::{InFlight, Reply},
 };
-use crate::ingest::protocol::{AddState, AddStateError, EditSite, EditSiteError};
+use crate::ingest::protocol::{AddState, AddStateError, EditSite, EditSiteError, ForgetError, ForgetProducers};
 
 #[cfg(test)]
 mod tests;
@@ -27,6 +28,8 @@ pub(super) struct Edits {
     is_in_flight: bool,
     /// Answers for edits that are durable and not public yet.
     edited: Vec<Reply<EditSiteError>>,
+    /// Answers for producers whose places are durably free, and not public yet, each with their number.
+    forgotten: Vec<(u64, oneshot::Sender<Result<u64, ForgetError>>)>,
 }
 
 impl Edits {
@@ -57,6 +60,9 @@ impl Edits {
         for reply in self.edited.drain(..) {
             let _ = reply.send(Ok(()));
         }
+        for (count, reply) in self.forgotten.drain(..) {
+            let _ = reply.send(Ok(count));
+        }
     }
 }
 
@@ -72,11 +78,11 @@ impl Writer {
         } else if let Some(error) = self.appends.failure() {
             Err(AddStateError::Storage(error.clone()))
         } else {
-            self.sessions.add_state(&add.state, &self.map)
+            self.sessions.add_state(&add.state, &add.client, &self.map)
         };
         match event {
             Ok(Some(new)) => {
-                self.append(InFlight::AddState { event: Event::AddState(new), reply: add.reply });
+                self.append(InFlight::AddState { event: Event::AddState(new), client: add.client, reply: add.reply });
             }
             Ok(None) if self.map.shape(add.state.name.as_str()).is_some() => self.edits.added.push(add.reply),
             // In flight for another client, and the append may fail.
@@ -87,9 +93,9 @@ impl Writer {
     }
 
     /// A state is durable and applied.
-    pub(super) fn state_added(&mut self, event: &Event, reply: Reply<AddStateError>) {
+    pub(super) fn state_added(&mut self, event: &Event, client: &str, reply: Reply<AddStateError>) {
         if let Event::AddState(new) = event {
-            self.sessions.state_added(new);
+            self.sessions.state_added(new, client);
         }
         self.edits.added.push(reply);
     }
@@ -99,6 +105,32 @@ impl Writer {
         for add in std::mem::take(&mut self.edits.waiting_states) {
             self.add_state(add);
         }
+    }
+
+    /// Hands to the log that producers give their places up.
+    pub(super) fn forget_producers(&mut self, forget: ForgetProducers) {
+        let found = if self.stopping.is_some() {
+            Err(ForgetError::Closing)
+        } else if let Some(refused) = self.not_writer() {
+            Err(refused.into())
+        } else if let Some(error) = self.appends.failure() {
+            Err(ForgetError::Storage(error.clone()))
+        } else {
+            self.sessions.forgettable(&forget, &self.map)
+        };
+        match found {
+            Ok(producers) => {
+                let (count, event) = (producers.len() as u64, Event::ForgetProducers(producers));
+                self.append(InFlight::ForgetProducers { event, count, reply: forget.reply });
+            }
+            // The client may have gone away.
+            Err(error) => drop(forget.reply.send(Err(error))),
+        }
+    }
+
+    /// Producers have durably given their places up.
+    pub(super) fn producers_forgotten(&mut self, count: u64, reply: oneshot::Sender<Result<u64, ForgetError>>) {
+        self.edits.forgotten.push((count, reply));
     }
 
     pub(super) fn edit_site(&mut self, edit: EditSite) {

@@ -141,7 +141,7 @@ impl Writer {
                 return false;
             }
             // Without it the map is unusable, and the daemon stops.
-            let Some(work) = self.apply(position, &event) else { return false };
+            let Ok(work) = self.apply(position, &event) else { return false };
             self.tell_applied(&event);
             if let Some(work) = work {
                 let (name, now) = (self.map.spec().name.clone(), self.context.clock.now_nanos());

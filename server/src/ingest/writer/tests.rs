@@ -26,6 +26,7 @@ use crate::{
 
 pub(super) mod backlog;
 mod follower_file;
+mod parts;
 mod repeated;
 mod replicas;
 mod roles;
@@ -75,12 +76,14 @@ fn context(dir: &Path, now: i64) -> (Context, Arc<SetClock>) {
         store: Arc::new(Store::open(dir, options).expect("a store")),
         jobs: Arc::new(Jobs::default()),
         clock: Arc::clone(&clock) as Arc<dyn Clock>,
-        update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
+        update_turns: Arc::new(crate::ingest::update_turns::UpdateTurns::new(1)),
         fatal: events::unbounded_channel().0,
         forks: events::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
+        max_producers_of_client: 10,
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
+        update_readings_max: tidemap_map::update::UPDATE_READINGS_MAX,
         update_at_midnight: true,
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
@@ -116,6 +119,7 @@ async fn hello(handle: &MapHandle, name: &str, incarnation: u64, nightly: bool) 
     let (reply, answer) = oneshot::channel();
     let key = ProducerKey::new(name, "").expect("valid");
     assert!(handle.send(Command::Hello(Hello {
+        client: String::new(),
         key,
         incarnation,
         probe: None,
@@ -143,7 +147,7 @@ impl Robot {
             values: vec![1.0],
             ..ObservationBatch::default()
         };
-        let budget = [permit(), permit()];
+        let budget = vec![permit(), permit()];
         assert!(
             handle.send(Command::StreamData {
                 session: self.opened.session,
@@ -353,7 +357,7 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
         times_nanos: times,
         ..ObservationBatch::default()
     };
-    let budget = [permit(), permit()];
+    let budget = vec![permit(), permit()];
     assert!(
         handle
             .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })

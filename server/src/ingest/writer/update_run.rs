@@ -1,6 +1,8 @@
 //! Updates of the map: started when they are due, run in a thread of their own, published when they end.
 //!
-//! Invariant: one update runs at a time, and its job ends, whatever happens to it.
+//! An update that leaves rows of changes or events to the next is a part of a job: the next part starts when it ends.
+//!
+//! Invariant: one update of a map runs at a time, and its job ends, whatever happens to it.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -8,12 +10,15 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tidemap_grid::pace::Pace;
 use tidemap_map::{
     event::{Event, UpdateCause},
     history::HistoryPiece,
     name::MapName,
+    snapshot::MapSnapshot,
     update::{LateRowsOutcome, SumsUnavailable, UpdateResult, UpdateWork},
 };
+use tidemap_model::time::format_rfc3339;
 use tidemap_store::MapId;
 use tracing::{error, info, warn};
 
@@ -23,8 +28,9 @@ use crate::{
         protocol::Command,
         training_data::TrainingData,
         update_schedule::{DueUpdate, UpdateSchedule},
+        update_turns::UpdateTurn,
     },
-    jobs::{Report, UpdateJob},
+    jobs::{JobCause, UpdateJob, UpdateReport},
 };
 
 #[cfg(test)]
@@ -35,6 +41,31 @@ const STATES_BESIDE_SAVE_MAX: usize = 10_000;
 
 /// How long updates wait after the log did not accept the start of one.
 const UPDATE_RETRY: Duration = Duration::from_secs(10);
+
+/// Why an update has no result.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum UpdateFailed {
+    #[error("an update could not read its training data: {0}. Restore the folder of this map from a backup")]
+    Sums(#[from] SumsUnavailable),
+    #[error("the threads of an update could not start: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
+}
+
+/// The pace of an update among those of other maps.
+struct UpdatePace<'a> {
+    done: &'a AtomicU64,
+    turn: UpdateTurn,
+}
+
+impl Pace for UpdatePace<'_> {
+    fn add_done(&self, parts: u64) {
+        self.done.add_done(parts);
+    }
+
+    fn await_turn(&self) {
+        self.turn.wait();
+    }
+}
 
 /// The updates of a map: scheduled, running, and ended but not published.
 pub(super) struct Updates {
@@ -91,6 +122,13 @@ impl Updates {
         self.ended.push((Arc::clone(job), (generation, cut_nanos)));
     }
 
+    /// A part of the update has ended; what it left, the next part learns at once.
+    fn go_on(&mut self, next: DueUpdate) {
+        self.running = None;
+        self.times = None;
+        self.schedule.push_first(next);
+    }
+
     /// The update has failed.
     fn fail(&mut self, job: &UpdateJob, reason: String) {
         self.running = None;
@@ -126,8 +164,11 @@ impl Updates {
 impl Context {
     /// Runs the update of a map. `unsaved`: history of earlier updates that no save has stored.
     ///
+    /// Waits for its turn among the updates of other maps.
+    ///
     /// # Errors
-    /// [`SumsUnavailable`] where a tile of the grid or the sums of a state cannot be read back from the disk.
+    /// [`UpdateFailed`] where a tile of the grid or the sums of a state cannot be read back from the disk, or no thread
+    /// can be had.
     pub(crate) fn run_update(
         &self,
         id: MapId,
@@ -135,7 +176,14 @@ impl Context {
         work: UpdateWork,
         unsaved: Vec<Arc<HistoryPiece>>,
         progress: &AtomicU64,
-    ) -> Result<UpdateResult, SumsUnavailable> {
+    ) -> Result<UpdateResult, UpdateFailed> {
+        let pace = UpdatePace { done: progress, turn: self.update_turns.begin() };
+        // Of its own, because its threads wait while other updates have their turn.
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(self.update_turns.threads())
+            .thread_name(|index| format!("learn-{index}"))
+            .build()?;
+        let work = work.with_readings_max(self.update_readings_max);
         let work = work.with_room(self.store.spectrum_room(id));
         let work = match self.store.history(id) {
             Ok(history) => {
@@ -147,7 +195,7 @@ impl Context {
                 work
             }
         };
-        let result = self.update_pool.install(|| work.run(progress))?;
+        let result = pool.install(|| work.run(&pace))?;
         let outcome = result.training_outcome();
         if let Some(reason) = &outcome.failure {
             warn!(%map, states = outcome.failed, reason, "models are not trained again, because history cannot be read");
@@ -248,9 +296,7 @@ impl Writer {
             let run = move || context.run_update(id, &map, work, unsaved, &progress.states_done);
             let result = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(Ok(result)) => Ok(Box::new(result)),
-                Ok(Err(unavailable)) => Err(format!(
-                    "an update could not read its training data: {unavailable}. Restore the folder of this map from a backup"
-                )),
+                Ok(Err(failed)) => Err(failed.to_string()),
                 Err(_) => Err("the update panicked; this is a defect of tidemap".to_owned()),
             };
             // Without a writer the result is not needed: the next start runs the update again from the log.
@@ -273,9 +319,9 @@ impl Writer {
             Ok(result) => result,
             Err(reason) => return self.give_up(job, reason),
         };
-        let cells = result.grid_outcome().copied();
+        let (cells, rows_to_nanos) = (result.grid_outcome().copied(), result.rows_to_nanos());
         job.step("publish");
-        self.context.jobs.set_report(job, Report { cells, states: result.outcomes().to_vec() });
+        self.context.jobs.add_report(job, UpdateReport { cells, states: result.outcomes().to_vec() });
         let states = result.outcomes().len();
         let tiles = cells.map_or(0, |cells| cells.tiles);
         let snapshot = self.map.finish_update(*result);
@@ -286,8 +332,23 @@ impl Writer {
             map = %self.map.spec().name, cause = job.cause.name(), generation = snapshot.generation, states, tiles,
             observations = job.status().observations, "updated"
         );
-        self.updates.end(job, snapshot.generation, snapshot.cut_nanos);
+        self.end_update(job, &snapshot, rows_to_nanos);
         self.saves.push(snapshot);
         self.page_out();
+    }
+
+    /// Ends the job of an update, or lets its next part follow. `rows_to_nanos`: up to where it has learned rows, if it
+    /// left some. Only the writer of a map starts updates.
+    fn end_update(&mut self, job: &Arc<UpdateJob>, snapshot: &MapSnapshot, rows_to_nanos: Option<i64>) {
+        let next = rows_to_nanos.filter(|_| self.follower.is_writing() && self.stopping.is_none());
+        let (Some(rows_to_nanos), JobCause::Update(cause)) = (next, job.cause) else {
+            return self.updates.end(job, snapshot.generation, snapshot.cut_nanos);
+        };
+        info!(
+            map = %self.map.spec().name, generation = snapshot.generation, waiting_rows = self.map.waiting_rows(),
+            learned_to = format_rfc3339(rows_to_nanos),
+            "rows of changes or events stand for more readings than one update learns: another update follows"
+        );
+        self.updates.go_on(DueUpdate { until_nanos: Some(snapshot.cut_nanos), cause, job: Arc::clone(job) });
     }
 }

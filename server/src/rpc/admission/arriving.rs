@@ -14,8 +14,10 @@ use http_body::{Frame, SizeHint};
 use tokio::time::{Instant, Sleep, sleep_until};
 use tonic::{Status, body::Body, codegen::Bytes};
 
-use super::shares::{Share, Shares, Taken};
-use crate::{connections::Peer, rpc::status::RpcError};
+use crate::{
+    rpc::status::RpcError,
+    shares::{Share, Shares, Taken, client::Client},
+};
 
 /// How long a request is waited for.
 #[derive(Clone, Copy, Debug)]
@@ -40,20 +42,20 @@ pub(super) struct ArrivingBody {
     /// When its next piece must be here.
     next: Pin<Box<Sleep>>,
     arrived: usize,
-    peer: Peer,
+    client: Client,
     shares: Shares,
     held: Option<Taken>,
 }
 
 impl ArrivingBody {
-    pub(super) fn new(body: Body, is_streamed: bool, peer: Peer, shares: Shares) -> Self {
-        Self::waiting(body, is_streamed, peer, shares, PATIENCE)
+    pub(super) fn new(body: Body, is_streamed: bool, client: Client, shares: Shares) -> Self {
+        Self::waiting(body, is_streamed, client, shares, PATIENCE)
     }
 
-    fn waiting(body: Body, is_streamed: bool, peer: Peer, shares: Shares, patience: Patience) -> Self {
+    fn waiting(body: Body, is_streamed: bool, client: Client, shares: Shares, patience: Patience) -> Self {
         let now = Instant::now();
         let next = Box::pin(sleep_until(now + patience.pause));
-        Self { body, is_streamed, patience, due: now + patience.whole, next, arrived: 0, peer, shares, held: None }
+        Self { body, is_streamed, patience, due: now + patience.whole, next, arrived: 0, client, shares, held: None }
     }
 
     /// Reserves room for what has arrived.
@@ -64,7 +66,7 @@ impl ArrivingBody {
         match &mut self.held {
             _ if more == 0 => {}
             Some(held) => held.grow(more)?,
-            none => *none = Some(self.shares.take(Share::LargeBytes, self.peer, more)?),
+            none => *none = Some(self.shares.take(Share::LargeBytes, &self.client, more)?),
         }
         Ok(())
     }
@@ -151,7 +153,7 @@ mod tests {
     use tokio_stream::StreamExt as _;
 
     use super::*;
-    use crate::rpc::admission::RequestLimits;
+    use crate::{config::Settings, connections::Peer, shares::ShareLimits};
 
     const SHORT: Patience = Patience { whole: Duration::from_secs(3), pause: Duration::from_secs(1) };
 
@@ -161,8 +163,8 @@ mod tests {
     ) -> ArrivingBody {
         let pieces = pieces.map(|piece| Ok::<_, Status>(Bytes::from_static(piece.as_bytes())));
         let body = axum::body::Body::from_stream(pieces.chain(tokio_stream::pending()));
-        let shares = Shares::new(RequestLimits { total: 1, per_client: 1 });
-        ArrivingBody::waiting(Body::new(body), is_streamed, Peer::Local, shares, SHORT)
+        let shares = Shares::new(ShareLimits::of(&Settings::default()));
+        ArrivingBody::waiting(Body::new(body), is_streamed, Client::Address(Peer::Local), shares, SHORT)
     }
 
     #[tokio::test]

@@ -1,8 +1,8 @@
 //! `ClassifyActivity`: which label of a categorical state holds, from likelihood, temporal prior and spatial prior.
 //!
-//! What is learned goes the way of a report: readings of the state and of its state at the place, in one message, so
-//! that both are durable or none is. Invariant: the priors are of one view, which is older than what is learned; a
-//! sequence number that the map has is not learned again.
+//! What is learned goes the way of other observations: readings of the state and of its state at the place, in one
+//! message, so that both are durable or none is. Invariant: the priors are of one view, which is older than what is
+//! learned; a sequence number that the map has is not learned again. What the caller may not send adds no state.
 
 use std::sync::Arc;
 
@@ -10,7 +10,8 @@ use tidemap_map::{label_places::name_at_place, name::StateName, view::MapView};
 use tidemap_model::label_evidence::{LabelEvidence, normalise};
 use tidemap_proto::{
     convert::{
-        classify::{ClassifyQuestion, Learning, classify_from_wire, readings_to_wire},
+        classify::{ClassifyQuestion, Learning, classify_from_wire},
+        observe::{StreamMessage, StreamStart, learned_readings, start_of_classification},
         vectors::DeclaredState,
     },
     v1,
@@ -18,7 +19,7 @@ use tidemap_proto::{
 use tokio::sync::oneshot;
 use tonic::Status;
 
-use super::Observations;
+use super::{Observations, report::SentAs};
 use crate::{
     access::{Caller, Role},
     ingest::{
@@ -26,10 +27,11 @@ use crate::{
         protocol::{AddState, AddStateError, Command},
     },
     rpc::{
-        lookup::{find_map, find_state},
+        lookup::{check_producer, find_map, find_state},
         permits::run_blocking,
         status::{Problem, RpcError},
     },
+    shares::client::Client,
 };
 
 /// The method, for the message to a caller that may not learn.
@@ -43,29 +45,29 @@ impl Observations {
     ) -> Result<v1::ClassifyActivityResponse, Status> {
         let handle = find_map(&self.catalog, &request.map).await?;
         let question = classify_from_wire(&request).map_err(RpcError::from)?;
-        if question.learning != Learning::Nothing {
-            may_learn(&Caller::current())?;
+        let start = match question.learning {
+            Learning::Nothing => None,
+            Learning::Label | Learning::Shares => Some(start_of_classification(&request).map_err(RpcError::from)?),
+        };
+        if let Some(start) = &start {
+            may_learn(&Caller::current(), start)?;
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
         let (view, asked) = (handle.view(), question.clone());
         let answered = run_blocking(self.permits.take().await?, move || answer(&view, &asked, utc_nanos));
         let mut reply = answered.await??;
-        if question.learning == Learning::Nothing {
-            return Ok(reply);
-        }
+        let Some(start) = start else { return Ok(reply) };
         let states = self.learned_states(&handle, &question).await?;
         let shares: Vec<(String, f64)> =
             reply.labels.iter().map(|known| (known.label.clone(), known.probability)).collect();
-        let report = v1::ReportRequest {
-            map: request.map,
-            producer: request.producer,
-            label: request.producer_label,
-            first_sequence: request.first_sequence,
-            readings: readings_to_wire(states, utc_nanos, question.learning, &shares),
-            reporting: None,
-        };
-        let taken = self.take_report_once(report).await?;
-        (reply.durable_sequence, reply.refused) = (taken.durable_sequence, taken.refused);
+        let count = states.len() as u64;
+        let learned = learned_readings(&states, utc_nanos, question.learning, &shares);
+        let sent_as =
+            SentAs { map: request.map, start, first_sequence: request.first_sequence, may_differ: Some(count) };
+        let items = |first| Ok(StreamMessage::Observations(learned.numbered(first)?));
+        let taken = self.take_items(sent_as, items).await?;
+        reply.durable_sequence = taken.durable_sequence;
+        reply.refused = taken.refused_to_wire();
         Ok(reply)
     }
 
@@ -85,7 +87,7 @@ impl Observations {
         let labels = labels.collect::<Result<Vec<StateName>, _>>().map_err(invalid)?;
         let (reply, added) = oneshot::channel();
         let state = DeclaredState { name: at_place.clone(), shape, labels, sensor: None, reporting: None };
-        let is_sent = handle.send(Command::AddState(AddState { state, reply }));
+        let is_sent = handle.send(Command::AddState(AddState { state, client: Client::current().share_name(), reply }));
         let added = if is_sent { added.await.ok() } else { None };
         added.unwrap_or(Err(AddStateError::Closing))?;
         states.push(at_place);
@@ -93,13 +95,15 @@ impl Observations {
     }
 }
 
-/// Checks that the caller may change the map.
-fn may_learn(caller: &Caller) -> Result<(), RpcError> {
+/// Checks that the caller may change the map, and may send as the producer of the request. The session checks this
+/// again, but the state of a place is added before it.
+fn may_learn(caller: &Caller, start: &StreamStart) -> Result<(), RpcError> {
     match caller {
-        caller if caller.has(Role::Observer) => Ok(()),
-        Caller::Reader => Err(RpcError::ReadOnly { method: METHOD.to_owned() }),
-        _ => Err(RpcError::NeedsRole { method: METHOD.to_owned(), role: Role::Observer }),
+        caller if caller.has(Role::Observer) => {}
+        Caller::Reader => return Err(RpcError::ReadOnly { method: METHOD.to_owned() }),
+        _ => return Err(RpcError::NeedsRole { method: METHOD.to_owned(), role: Role::Observer }),
     }
+    check_producer(start.key.producer())
 }
 
 /// What a view knows of each label.

@@ -1,8 +1,12 @@
 //! The open streams of observations: how many there are, and which one makes room for the next.
 //!
-//! Invariant: at most as many streams stay as the limit says. When it is reached, one that has not said hello makes
-//! room, or the one that was silent for longest, if it was silent for a given time and all that it sent is
-//! acknowledged. If there is none, the new stream is refused.
+//! A stream has a place among those that have not said hello, and with its hello it takes one among those that have.
+//!
+//! Invariant: no more streams have a place than the limits say, in all and of one client. Where a limit is reached, the
+//! oldest stream that has not said hello makes room for another such; of the others, the one that was silent for
+//! longest, if it was silent for a given time and all that it sent is acknowledged. If there is none, and all places
+//! are in use, a map that has fewer streams takes one of the map that has most: streams of one map never keep those of
+//! another out. Else the new stream is refused.
 
 use std::{
     collections::HashMap,
@@ -13,13 +17,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_proto::convert::OverLimit;
+use tidemap_store::MapId;
 use tokio::sync::watch;
+
+use crate::{
+    rpc::status::RpcError,
+    shares::{Bound, Share, ShareFull, Shares, Taken, client::Client},
+};
 
 /// The open streams. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct OpenStreams {
-    max: usize,
+    shares: Shares,
     idle_after: Duration,
     open: Arc<Mutex<Open>>,
 }
@@ -30,29 +39,65 @@ struct Open {
     next: u64,
 }
 
+/// Why a stream has to end for another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Displaced {
+    /// It was silent.
+    Silent,
+    /// Its map had most of the streams.
+    Crowded,
+}
+
+/// The place of a stream.
+#[derive(Debug)]
+struct StreamSeat {
+    _taken: Taken,
+    /// Its map; `None` before its hello.
+    map: Option<MapId>,
+}
+
 /// What is known of an open stream.
 #[derive(Debug)]
 struct Activity {
+    client: Client,
     opened: Instant,
-    /// Milliseconds from `opened` to its last message, and one more; 0 before its Hello.
+    /// `None` after it was displaced. A lock, because others displace it; held only to look and to replace.
+    place: Mutex<Option<StreamSeat>>,
+    /// Milliseconds from `opened` to its last message, and one more; 0 before its first.
     active_after_millis: AtomicU64,
     /// Something that it sent is not acknowledged.
     is_unacknowledged: AtomicBool,
-    is_displaced: watch::Sender<bool>,
+    displaced: watch::Sender<Option<Displaced>>,
 }
 
 impl Activity {
-    /// Which of two streams makes room first: those that have not said hello, then those silent for longest.
-    fn rank(&self, idle_after: Duration, now: Instant) -> Option<(bool, Duration)> {
-        if *self.is_displaced.borrow() || self.is_unacknowledged.load(Ordering::Acquire) {
-            return None;
-        }
-        let silent_since = match self.active_after_millis.load(Ordering::Acquire).checked_sub(1) {
-            None => return Some((true, now.saturating_duration_since(self.opened))),
-            Some(millis) => self.opened + Duration::from_millis(millis),
-        };
-        let silent = now.saturating_duration_since(silent_since);
-        (silent >= idle_after).then_some((false, silent))
+    fn place(&self) -> MutexGuard<'_, Option<StreamSeat>> {
+        self.place.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Its map, if it has said hello and has a place.
+    fn map(&self) -> Option<MapId> {
+        self.place().as_ref()?.map
+    }
+
+    fn awaits_hello(&self) -> bool {
+        self.place().as_ref().is_some_and(|place| place.map.is_none())
+    }
+
+    fn silent_for(&self, now: Instant) -> Duration {
+        let millis = self.active_after_millis.load(Ordering::Acquire).saturating_sub(1);
+        now.saturating_duration_since(self.opened + Duration::from_millis(millis))
+    }
+
+    fn is_unacknowledged(&self) -> bool {
+        self.is_unacknowledged.load(Ordering::Acquire)
+    }
+
+    /// Its place is free at once; its task hears of it.
+    fn displace(&self, why: Displaced) {
+        drop(self.place().take());
+        self.displaced.send_replace(Some(why));
+        metrics::counter!("tidemap_streams_displaced_total").increment(1);
     }
 }
 
@@ -61,7 +106,7 @@ impl Activity {
 pub(super) struct StreamEntry {
     number: u64,
     activity: Arc<Activity>,
-    displaced: watch::Receiver<bool>,
+    displaced: watch::Receiver<Option<Displaced>>,
     streams: OpenStreams,
 }
 
@@ -69,51 +114,84 @@ impl Drop for StreamEntry {
     fn drop(&mut self) {
         let mut open = self.streams.lock();
         open.streams.remove(&self.number);
+        drop(self.activity.place().take());
         metrics::gauge!("tidemap_streams").set(open.streams.len() as f64);
     }
 }
 
+impl Open {
+    /// The streams that a full share is of.
+    fn of<'a>(&'a self, full: &ShareFull, client: &Client) -> impl Iterator<Item = &'a Arc<Activity>> {
+        let client = (full.bound == Bound::Client).then(|| client.clone());
+        self.streams.values().filter(move |stream| client.as_ref().is_none_or(|client| stream.client == *client))
+    }
+
+    /// The stream that has waited for longest without a hello.
+    fn without_hello(&self, full: &ShareFull, client: &Client) -> Option<&Arc<Activity>> {
+        self.of(full, client).filter(|stream| stream.awaits_hello()).min_by_key(|stream| stream.opened)
+    }
+
+    /// The stream that was silent for longest, and for a given time.
+    fn silent(&self, full: &ShareFull, client: &Client, idle_after: Duration, now: Instant) -> Option<&Arc<Activity>> {
+        let is_silent = |stream: &&Arc<Activity>| {
+            stream.map().is_some() && !stream.is_unacknowledged() && stream.silent_for(now) >= idle_after
+        };
+        self.of(full, client).filter(is_silent).max_by_key(|stream| stream.silent_for(now))
+    }
+
+    /// A stream of the map with the most streams, if that has more than this map will have: of the client with the most
+    /// of them, and rather one of which all is acknowledged and that was silent for long.
+    fn crowding(&self, map: MapId, now: Instant) -> Option<&Arc<Activity>> {
+        let mut of_maps: HashMap<MapId, HashMap<&Client, usize>> = HashMap::new();
+        for stream in self.streams.values() {
+            if let Some(map) = stream.map() {
+                *of_maps.entry(map).or_default().entry(&stream.client).or_default() += 1;
+            }
+        }
+        let count = |clients: &HashMap<&Client, usize>| clients.values().sum::<usize>();
+        let own = of_maps.get(&map).map_or(0, count);
+        let (largest, clients) = of_maps.iter().max_by_key(|(_, clients)| count(clients))?;
+        if count(clients) < own + 2 {
+            return None;
+        }
+        let streams = self.streams.values().filter(|stream| stream.map() == Some(*largest));
+        let of_client = |stream: &Activity| clients.get(&stream.client).copied().unwrap_or(0);
+        streams.max_by_key(|stream| (of_client(stream), !stream.is_unacknowledged(), stream.silent_for(now)))
+    }
+}
+
 impl OpenStreams {
-    /// No streams; at most `max`, of which one that was silent for `idle_after` makes room.
-    pub(crate) fn new(max: usize, idle_after: Duration) -> Self {
-        Self { max, idle_after, open: Arc::default() }
+    /// No streams; they take of these shares. One that was silent for `idle_after` makes room.
+    pub(crate) fn new(shares: Shares, idle_after: Duration) -> Self {
+        Self { shares, idle_after, open: Arc::default() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How long a stream was silent that makes room.
-    pub(super) fn idle_after(&self) -> Duration {
-        self.idle_after
-    }
-
-    /// Enters a new stream; another one makes room if it has to.
+    /// Enters a new stream of a client, which has to say hello; another such makes room if it has to.
     ///
     /// # Errors
-    /// All others are in use.
-    pub(super) fn enter(&self) -> Result<StreamEntry, OverLimit> {
-        let now = Instant::now();
+    /// There is no room.
+    pub(super) fn enter(&self, client: &Client) -> Result<StreamEntry, ShareFull> {
         let mut open = self.lock();
-        // Most of the time the limit is far away, and nothing is counted one by one.
-        if open.streams.len() >= self.max {
-            let staying = open.streams.values().filter(|stream| !*stream.is_displaced.borrow()).count();
-            let ranked = open.streams.values().filter_map(|stream| Some((stream.rank(self.idle_after, now)?, stream)));
-            match ranked.max_by_key(|(rank, _)| *rank) {
-                _ if staying < self.max => {}
-                Some((_, stream)) => {
-                    stream.is_displaced.send_replace(true);
-                    metrics::counter!("tidemap_streams_displaced_total").increment(1);
-                }
-                None => OverLimit::check("streams", staying + 1, self.max, "setting max_streams")?,
+        let take = || self.shares.take(Share::Hellos, client, 1);
+        let taken = match take() {
+            Ok(taken) => taken,
+            Err(full) => {
+                open.without_hello(&full, client).ok_or(full)?.displace(Displaced::Silent);
+                take()?
             }
-        }
-        let (is_displaced, displaced) = watch::channel(false);
+        };
+        let (sender, displaced) = watch::channel(None);
         let activity = Arc::new(Activity {
-            opened: now,
+            client: client.clone(),
+            opened: Instant::now(),
+            place: Mutex::new(Some(StreamSeat { _taken: taken, map: None })),
             active_after_millis: AtomicU64::new(0),
             is_unacknowledged: AtomicBool::new(false),
-            is_displaced,
+            displaced: sender,
         });
         let number = open.next;
         open.next += 1;
@@ -125,6 +203,45 @@ impl OpenStreams {
 }
 
 impl StreamEntry {
+    /// Whose stream it is.
+    pub(super) fn client(&self) -> &Client {
+        &self.activity.client
+    }
+
+    /// The stream has said hello for a map, and takes a place among those that have; another one makes room if it has
+    /// to.
+    ///
+    /// # Errors
+    /// There is no room.
+    pub(super) fn seat(&self, map: MapId) -> Result<(), RpcError> {
+        let (streams, client, now) = (&self.streams, &self.activity.client, Instant::now());
+        let open = streams.lock();
+        if let Some(why) = *self.displaced.borrow() {
+            return Err(self.end_of(why));
+        }
+        let take = || streams.shares.take(Share::Streams, client, 1);
+        let taken = match take() {
+            Ok(taken) => taken,
+            Err(full) => {
+                let silent = open.silent(&full, client, streams.idle_after, now).map(|one| (one, Displaced::Silent));
+                let is_of_all = full.bound == Bound::All;
+                let crowding = || open.crowding(map, now).filter(|_| is_of_all).map(|one| (one, Displaced::Crowded));
+                let (other, why) = silent.or_else(crowding).ok_or(full)?;
+                other.displace(why);
+                take()?
+            }
+        };
+        *self.activity.place() = Some(StreamSeat { _taken: taken, map: Some(map) });
+        Ok(())
+    }
+
+    fn end_of(&self, why: Displaced) -> RpcError {
+        match why {
+            Displaced::Silent => RpcError::Idle(self.streams.idle_after),
+            Displaced::Crowded => RpcError::Crowded,
+        }
+    }
+
     /// The stream has sent something now.
     pub(super) fn mark_active(&self) {
         let millis = u64::try_from(self.activity.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
@@ -136,56 +253,107 @@ impl StreamEntry {
         self.activity.is_unacknowledged.store(is_unacknowledged, Ordering::Release);
     }
 
-    /// Waits until the stream has to make room.
-    pub(super) async fn displaced(&mut self) {
+    /// Waits until the stream has to make room; gives why it ends.
+    pub(super) async fn displaced(&mut self) -> RpcError {
         // The sender is part of the entry, so that it cannot be gone.
-        let _ = self.displaced.wait_for(|is_displaced| *is_displaced).await;
-    }
-
-    /// How long a stream was silent that makes room.
-    pub(super) fn idle_after(&self) -> Duration {
-        self.streams.idle_after()
+        let why = self.displaced.wait_for(Option::is_some).await.ok().and_then(|why| *why);
+        self.end_of(why.unwrap_or(Displaced::Silent))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{config::Settings, shares::ShareLimits};
+
+    const OFFICE: MapId = MapId(1);
+
+    fn streams(bounds: (usize, usize), idle_after: Duration) -> OpenStreams {
+        OpenStreams::new(
+            Shares::new(ShareLimits { streams: bounds, ..ShareLimits::of(&Settings::default()) }),
+            idle_after,
+        )
+    }
+
+    fn robot(number: usize) -> Client {
+        Client::Token(number.to_string().into())
+    }
+
+    fn seated(streams: &OpenStreams, robot: &Client, map: MapId) -> Result<StreamEntry, RpcError> {
+        let entry = streams.enter(robot)?;
+        entry.mark_active();
+        entry.seat(map)?;
+        Ok(entry)
+    }
 
     fn is_displaced(entry: &StreamEntry) -> bool {
-        *entry.displaced.borrow()
+        entry.displaced.borrow().is_some()
     }
 
     #[test]
     fn the_stream_that_was_silent_for_longest_makes_room() {
-        let streams = OpenStreams::new(3, Duration::ZERO);
-        let [first, second, third] = [(); 3].map(|()| streams.enter().expect("room"));
+        let streams = streams((3, 3), Duration::ZERO);
+        let [first, second, third] = [1, 2, 3].map(|number| seated(&streams, &robot(number), OFFICE).expect("room"));
         for entry in [&second, &first, &third] {
             entry.mark_active();
             std::thread::sleep(Duration::from_millis(2));
         }
         first.set_unacknowledged(true);
-        let _fourth = streams.enter().expect("the second makes room");
+        let fourth = streams.enter(&robot(4)).expect("a place before its hello");
+        assert!(!is_displaced(&second), "who has not said hello takes no place of others");
+        fourth.seat(OFFICE).expect("the second makes room");
         assert!(is_displaced(&second) && !is_displaced(&first) && !is_displaced(&third));
-        // The fourth has not said hello.
-        let fifth = streams.enter().expect("the fourth makes room");
-        fifth.mark_active();
-        assert!(is_displaced(&_fourth) && !is_displaced(&third));
-        let _sixth = streams.enter().expect("the third makes room");
+        fourth.set_unacknowledged(true);
+        let _fifth = seated(&streams, &robot(5), OFFICE).expect("the third makes room");
         assert!(is_displaced(&third) && !is_displaced(&first), "never one with something that is not acknowledged");
         drop((second, third));
-        assert_eq!(streams.lock().streams.len(), 4);
+        assert_eq!(streams.lock().streams.len(), 3);
     }
 
     #[test]
     fn streams_in_use_are_left_alone() {
-        let streams = OpenStreams::new(1, Duration::from_secs(60));
-        let first = streams.enter().expect("room");
-        first.mark_active();
-        let error = streams.enter().expect_err("the first was heard just now");
-        assert!(error.to_string().contains("max_streams"), "{error}");
+        let streams = streams((1, 1), Duration::from_secs(60));
+        let first = seated(&streams, &robot(1), OFFICE).expect("room");
+        let error = seated(&streams, &robot(2), OFFICE).expect_err("the first was heard just now");
+        assert!(error.to_string().contains("setting max_streams:"), "{error}");
         assert!(!is_displaced(&first));
         drop(first);
-        assert!(streams.enter().is_ok());
+        assert!(seated(&streams, &robot(2), OFFICE).is_ok());
+    }
+
+    #[test]
+    fn one_that_says_no_hello_makes_room_for_the_next() {
+        let streams = streams((2, 1), Duration::from_secs(60));
+        let silent = streams.enter(&robot(1)).expect("room");
+        let next = streams.enter(&robot(1)).expect("the first makes room");
+        assert!(is_displaced(&silent) && !is_displaced(&next));
+        assert!(silent.seat(OFFICE).is_err());
+        next.seat(OFFICE).expect("a place");
+    }
+
+    #[test]
+    fn one_client_leaves_places_to_others() {
+        let streams = streams((4, 2), Duration::from_secs(60));
+        let held = [(); 2].map(|()| seated(&streams, &robot(1), OFFICE).expect("room"));
+        let error = seated(&streams, &robot(1), OFFICE).expect_err("it has its share");
+        assert!(error.to_string().contains("max_streams_per_client"), "{error}");
+        let _others = [2, 3].map(|number| seated(&streams, &robot(number), OFFICE).expect("room"));
+        assert!(!held.iter().any(is_displaced));
+    }
+
+    #[test]
+    fn streams_of_one_map_never_keep_those_of_another_out() {
+        let streams = streams((6, 3), Duration::from_secs(60));
+        let open = |client: usize, map| seated(&streams, &robot(client), MapId(map));
+        let crowd: Vec<_> = [1, 1, 1, 2, 2, 3].map(|client| open(client, 1).expect("room")).into();
+        crowd.iter().for_each(|entry| entry.set_unacknowledged(true));
+        let others: Vec<_> = (0..3).map(|number| open(10 + number, 2).expect("a place of the other map")).collect();
+        let of_first = crowd[..3].iter().filter(|entry| is_displaced(entry)).count();
+        assert!(of_first >= 1, "who has most gives first");
+        assert_eq!(crowd.iter().filter(|entry| is_displaced(entry)).count(), 3);
+        assert!(!others.iter().any(is_displaced));
+        let refused = open(20, 2).expect_err("both maps have their half");
+        assert!(refused.to_string().contains("max_streams"), "{refused}");
+        assert!(open(20, 1).is_err(), "and no place goes to and fro");
     }
 }

@@ -13,20 +13,23 @@ use tokio_stream::StreamExt as _;
 
 use super::{
     Observations,
+    acknowledgements::Acknowledgements,
     channel::{Replies, Requests, reply, unread},
     open_streams::StreamEntry,
+    session::OpenSession,
     stream::Stream,
 };
 use crate::{
     ingest::{
         handle::MapHandle,
         probe::{Probe, probe},
-        protocol::{Command, Hello, HelloError, SessionEvent, StreamData, Welcome},
+        protocol::{Command, Hello, HelloError, SessionEvent, Welcome},
     },
     rpc::{
         lookup::{check_producer, find_map},
         status::RpcError,
     },
+    shares::client::Client,
 };
 
 /// A stream must say hello within this time.
@@ -46,23 +49,40 @@ pub(super) async fn open_and_serve(
         return Err(RpcError::Stopping);
     }
     let Some(hello) = first_hello(service, entry, requests).await? else { return Ok(()) };
-    let handle = find_map(&service.catalog, &hello.map).await?;
+    // Whether the caller may see the map comes first.
+    find_map(&service.catalog, &hello.map).await?;
     let start = hello_from_wire(&hello)?;
-    check_producer(start.key.producer())?;
+    let handle = take_seat(service, entry, &hello.map, &start).await?;
     let (probe, probed, questions) = probe();
-    let (opened, events) = open_session(&handle, &start, start.answers_probes.then_some(probe)).await?;
+    let opened = open_session(&handle, (&start, entry.client()), start.answers_probes.then_some(probe)).await?;
     entry.mark_active();
-    let mut stream = Stream::new(service, handle, (opened, events), start.reporting, replies, (probed, entry));
+    let session = OpenSession::new(service, handle, opened, start.reporting, Acknowledgements::Stream(replies), entry);
+    let mut stream = Stream::new(session, replies, probed);
     let result = tokio::select! {
         result = stream.serve(requests) => result,
         never = pass_on_questions(questions, replies) => match never {},
     };
-    // A writer that has stopped has no session to forget.
-    let _ = stream.hand_over(StreamData::End { clean: result.is_ok() });
-    if let Err(error) = &result {
-        stream.say_goodbye(error).await;
-    }
+    stream.end(&result).await;
     result
+}
+
+/// Finds the map of a sender, checks that the caller may send as it, and takes a place for the session.
+///
+/// # Errors
+/// The map does not exist, the caller may not, or there is no place.
+pub(super) async fn take_seat(
+    service: &Observations,
+    entry: &mut StreamEntry,
+    map: &str,
+    start: &StreamStart,
+) -> Result<Arc<MapHandle>, RpcError> {
+    if *service.stopping.borrow() {
+        return Err(RpcError::Stopping);
+    }
+    let handle = find_map(&service.catalog, map).await?;
+    check_producer(start.key.producer())?;
+    entry.seat(handle.id)?;
+    Ok(handle)
 }
 
 /// The hello of a stream; `None`: the client leaves before it.
@@ -73,7 +93,7 @@ async fn first_hello(
 ) -> Result<Option<v1::Hello>, RpcError> {
     let first = tokio::select! {
         first = tokio::time::timeout(HELLO_WITHIN, requests.next()) => first,
-        () = entry.displaced() => return Err(RpcError::Idle(entry.idle_after())),
+        ended = entry.displaced() => return Err(ended),
     };
     entry.mark_active();
     match first {
@@ -84,11 +104,13 @@ async fn first_hello(
     }
 }
 
-/// Opens the session of a stream at the writer of its map. It takes over from a stream of the same key whose client
-/// does not answer.
-async fn open_session(
+/// Opens a session at the writer of its map. It takes over from a stream of the same key whose client does not answer.
+///
+/// # Errors
+/// The writer refuses it.
+pub(super) async fn open_session(
     handle: &Arc<MapHandle>,
-    start: &StreamStart,
+    (start, client): (&StreamStart, &Client),
     probe: Option<Probe>,
 ) -> Result<(Welcome, mpsc::UnboundedReceiver<SessionEvent>), RpcError> {
     let mut takes_over = None;
@@ -98,6 +120,7 @@ async fn open_session(
         let hello = Hello {
             key: start.key.clone(),
             incarnation: start.incarnation,
+            client: client.share_name(),
             probe: probe.clone(),
             takes_over,
             nightly: start.is_nightly,

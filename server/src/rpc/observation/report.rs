@@ -1,119 +1,143 @@
-//! Single readings in one request: a stream of one batch.
+//! Observations and reports in one request, without a stream.
 //!
-//! Invariant: the reply comes when the readings are durable or refused, as on a stream.
+//! Invariant: the reply comes when all of it is durable or refused. A request has a task of its own: what was handed to
+//! the writer is not lost when the client goes away.
 
 use std::time::Duration;
 
 use tidemap_proto::{
     bounds::READINGS,
-    convert::{OverLimit, observe::readings_to_columns},
-    v1::{self, observe_request::Message as Up, observe_response::Message as Down},
+    convert::{
+        InvalidField, OverLimit,
+        map::refused_to_wire,
+        observe::{StreamMessage, StreamStart, readings_from_wire, start_of_request},
+    },
+    v1,
 };
-use tokio::{sync::mpsc, time::Instant};
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Code, Status};
+use tokio::time::Instant;
 
-use super::Observations;
-use crate::rpc::{lookup::find_map, status::RpcError};
+use super::{
+    Observations,
+    acknowledgements::Acknowledgements,
+    open_streams::StreamEntry,
+    opening::{open_session, take_seat},
+    session::OpenSession,
+};
+use crate::{
+    access::Caller,
+    ingest::protocol::{HelloError, RefusedObservation},
+    rpc::{lookup::find_map, status::RpcError},
+    shares::client::Client,
+    telemetry::traces::Span,
+};
 
-/// How long a report waits for the stream of its key to end.
+/// How long a request waits for the stream of its key to end.
 const KEY_WITHIN: Duration = Duration::from_secs(2);
 const KEY_POLL: Duration = Duration::from_millis(20);
 
-/// Whether another stream has the key.
-fn is_taken(status: &Status) -> bool {
-    status.code() == Code::AlreadyExists
+/// Who sends a request, and as which numbers of its sequence.
+#[derive(Clone, Debug)]
+pub(in crate::rpc) struct SentAs {
+    /// Name of the map.
+    pub map: String,
+    /// The producer, and how its states are reported.
+    pub start: StreamStart,
+    /// Number of the first item; 0: the next one.
+    pub first_sequence: u64,
+    /// How many items there are that may differ when they are sent again: what was taken with their numbers stays.
+    pub may_differ: Option<u64>,
+}
+
+/// What became of a request.
+#[derive(Clone, Debug, Default)]
+pub(in crate::rpc) struct TakenItems {
+    /// All up to this number is durable or refused.
+    pub durable_sequence: u64,
+    /// The refused items.
+    pub refused: Vec<RefusedObservation>,
+}
+
+impl TakenItems {
+    /// The refused items, for the wire.
+    pub(in crate::rpc) fn refused_to_wire(self) -> Vec<v1::Refusal> {
+        let refusal = |RefusedObservation { sequence, reason, detail }| refused_to_wire(sequence, reason, detail);
+        self.refused.into_iter().map(refusal).collect()
+    }
 }
 
 impl Observations {
     /// Takes the readings of a request.
-    pub(super) async fn take_report(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, Status> {
-        self.take_readings(request, false).await
-    }
-
-    /// As [`Observations::take_report`], for readings that may differ when they are sent again: what was taken with
-    /// their numbers stays.
-    pub(super) async fn take_report_once(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, Status> {
-        self.take_readings(request, true).await
-    }
-
-    async fn take_readings(&self, request: v1::ReportRequest, may_differ: bool) -> Result<v1::ReportResponse, Status> {
+    pub(super) async fn take_readings(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, RpcError> {
         // Whether the caller may see the map comes first.
         find_map(&self.catalog, &request.map).await?;
-        OverLimit::check("readings", request.readings.len(), READINGS, "a report; use Observe for more")
-            .map_err(RpcError::from)?;
-        let now = self.catalog.context().clock.now_nanos();
-        let observations = readings_to_columns(&request.readings, now).map_err(RpcError::from)?;
-        let hello = v1::Hello {
-            producer: request.producer,
-            label: request.label,
-            map: request.map,
-            reporting: request.reporting,
-            ..Default::default()
-        };
-        let observations = Some(observations);
-        let batch =
-            |first_sequence| Up::Batch(v1::ObservationBatch { first_sequence, observations: observations.clone() });
-        let once = may_differ.then_some(request.readings.len() as u64);
-        self.report_within(&hello, request.first_sequence, once, &batch).await
+        OverLimit::check("readings", request.readings.len(), READINGS, "a report; use Observe for more")?;
+        let readings = readings_from_wire(&request.readings, self.catalog.context().clock.now_nanos())?;
+        let start = start_of_request(&request)?;
+        let sent_as = SentAs { map: request.map, start, first_sequence: request.first_sequence, may_differ: None };
+        let items = |first| Ok(StreamMessage::Observations(readings.numbered(first)?));
+        let taken = self.take_items(sent_as, items).await?;
+        Ok(v1::ReportResponse { durable_sequence: taken.durable_sequence, refused: taken.refused_to_wire() })
     }
 
-    /// Takes one batch, as a stream of its own, and tries until no other stream has the key. `first_sequence`: 0 for
-    /// the next number. `once`: the number of items that are not compared if the map has all of their numbers.
-    pub(in crate::rpc) async fn report_within(
+    /// Takes the items of a request, which are made for the number of the first. Waits for a short time if a stream has
+    /// the key.
+    ///
+    /// # Errors
+    /// Why they are not taken.
+    pub(in crate::rpc) async fn take_items(
         &self,
-        hello: &v1::Hello,
-        first_sequence: u64,
-        once: Option<u64>,
-        batch: &(impl Fn(u64) -> Up + Send + Sync),
-    ) -> Result<v1::ReportResponse, Status> {
-        let deadline = Instant::now() + KEY_WITHIN;
-        loop {
-            match self.run_report(hello, first_sequence, once, batch).await {
-                Err(status) if is_taken(&status) && Instant::now() < deadline => tokio::time::sleep(KEY_POLL).await,
-                result => return result,
-            }
-        }
+        sent_as: SentAs,
+        items: impl FnOnce(u64) -> Result<StreamMessage, InvalidField> + Send + 'static,
+    ) -> Result<TakenItems, RpcError> {
+        let service = self.clone();
+        let mut entry = self.streams.enter(&Client::current())?;
+        let work = async move { take_items(&service, &mut entry, &sent_as, items).await };
+        let task = crate::task::spawn(Span::current().scope(Caller::current().scope(work)));
+        task.await?
     }
+}
 
-    /// Sends a batch through a stream of its key.
-    async fn run_report(
-        &self,
-        hello: &v1::Hello,
-        first_sequence: u64,
-        once: Option<u64>,
-        batch: &(impl Fn(u64) -> Up + Send + Sync),
-    ) -> Result<v1::ReportResponse, Status> {
-        let (up, requests) = mpsc::channel(2);
-        let send = |message| drop(up.try_send(Ok(v1::ObserveRequest { message: Some(message) })));
-        // The channel has room for both messages.
-        send(Up::Hello(hello.clone()));
-        let mut replies = self.start(ReceiverStream::new(requests))?;
-        let mut reply = v1::ReportResponse::default();
-        let welcome = loop {
-            match replies.recv().await.ok_or(RpcError::Stopping)??.message {
-                Some(Down::Welcome(welcome)) => break welcome,
-                Some(Down::Goodbye(_)) | None => {}
-                Some(_) => return Err(Status::internal("a stream began without a welcome")),
+async fn take_items(
+    service: &Observations,
+    entry: &mut StreamEntry,
+    sent_as: &SentAs,
+    items: impl FnOnce(u64) -> Result<StreamMessage, InvalidField>,
+) -> Result<TakenItems, RpcError> {
+    let SentAs { map, start, .. } = sent_as;
+    let handle = take_seat(service, entry, map, start).await?;
+    let deadline = Instant::now() + KEY_WITHIN;
+    let opened = loop {
+        match open_session(&handle, (start, entry.client()), None).await {
+            Err(RpcError::Hello(HelloError::AlreadyStreaming { .. })) if Instant::now() < deadline => {
+                tokio::time::sleep(KEY_POLL).await;
             }
-        };
-        let first_sequence = match first_sequence {
-            0 => welcome.durable_sequence + 1,
-            sequence => sequence,
-        };
-        let last = once.map(|count| first_sequence.saturating_add(count.saturating_sub(1)));
-        if last.is_some_and(|last| last <= welcome.durable_sequence) {
-            reply.durable_sequence = welcome.durable_sequence;
-            return Ok(reply);
+            result => break result?,
         }
-        send(batch(first_sequence));
-        drop(up);
-        while let Some(message) = replies.recv().await {
-            if let Some(Down::Ack(ack)) = message?.message {
-                reply.durable_sequence = ack.durable_sequence;
-                reply.refused.extend(ack.refused);
-            }
-        }
-        Ok(reply)
+    };
+    let acknowledgements = Acknowledgements::Request(Vec::new());
+    let mut session = OpenSession::new(service, handle, opened, start.reporting, acknowledgements, entry);
+    let result = take_in(&mut session, sent_as, items).await;
+    session.end(result.as_ref().err());
+    result?;
+    Ok(TakenItems { durable_sequence: session.durable(), refused: session.take_refused() })
+}
+
+/// Takes the items in an open session, and waits until they are durable or refused.
+async fn take_in(
+    session: &mut OpenSession<'_>,
+    SentAs { first_sequence, may_differ, .. }: &SentAs,
+    items: impl FnOnce(u64) -> Result<StreamMessage, InvalidField>,
+) -> Result<(), RpcError> {
+    let durable = session.durable();
+    let first_sequence = match first_sequence {
+        0 => durable + 1,
+        sequence => *sequence,
+    };
+    let last = may_differ.map(|count| first_sequence.saturating_add(count.saturating_sub(1)));
+    if last.is_some_and(|last| last <= durable) {
+        return Ok(());
     }
+    session.ready().await?;
+    session.take(items(first_sequence)?).await?;
+    session.drain().await
 }

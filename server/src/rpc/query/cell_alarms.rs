@@ -33,7 +33,7 @@ pub(super) async fn list_cell_alarms(
     let question = GridQuestion { region, ..GridQuestion::default() };
     let for_selection = Arc::clone(&view);
     let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));
-    let (permit, selection) = crate::task::blocking(select).await.map_err(|_| RpcError::Stopping)?;
+    let (permit, selection) = crate::task::blocking(select).await?;
     let selection = selection.ok_or_else(no_grid)?;
     check_limit("cells to look at", selection.cells, queries.max_predictions, "setting max_predictions")?;
     drop(permit);

@@ -210,7 +210,7 @@ impl HeldRows {
             };
             samples.sort_by_key(|sample| sample.utc_nanos);
             let rows = samples.iter().map(Sample::row).collect();
-            let (readings, after) = learned.learn(entry.state.reporting(view), rows, horizon_nanos);
+            let (readings, after) = std::mem::take(learned).learn(entry.state.reporting(view), rows, horizon_nanos);
             *learned = after;
             (entry, TakenReadings::Rows(readings))
         };
@@ -234,11 +234,11 @@ async fn compare(
         let others = entry.others(view);
         let mut trained = Vec::with_capacity(others.len() + 1);
         let axes = [entry.state].into_iter().chain(others.iter().copied().map(StateOrCell::from));
-        let mut held = queries.trainer.reserve(0)?;
+        let mut held = queries.trainer.reserve()?;
         for axis in axes {
             let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), axis);
             let models = queries.trainer.all_trained(&learned, evaluator.kinds_to_train()).await?;
-            held.merge(queries.trainer.reserve(models.iter().flatten().count())?);
+            held.grow(models.iter().flatten().count())?;
             let source = |model| match model {
                 Ok(trained) => AnswerSource::Trained(trained),
                 Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),

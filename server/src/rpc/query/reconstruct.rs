@@ -104,7 +104,7 @@ async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcErr
     let for_thread = Arc::clone(view);
     // Its tile may have to be read from the disk.
     let found = crate::task::blocking(move || find_cell(&for_thread, cell).map(drop));
-    found.await.map_err(|_| RpcError::Stopping)??;
+    found.await??;
     let (index, place) = cell.tile();
     let tile = view.grid().and_then(|grid| grid.find(index));
     let unknown = || RpcError::UnknownCell { map: view.spec().name.as_str().to_owned(), name: cell.name() };

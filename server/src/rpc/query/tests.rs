@@ -36,6 +36,10 @@ use crate::{
     },
     jobs::Jobs,
 };
+use crate::{
+    config::Settings,
+    shares::{ShareLimits, Shares},
+};
 
 mod anomalies;
 mod grids;
@@ -55,6 +59,11 @@ struct Bench {
     handle: Arc<MapHandle>,
 }
 
+/// Two watches at once.
+fn shares() -> Shares {
+    Shares::new(ShareLimits { watches: (2, 2), ..ShareLimits::of(&Settings::default()) })
+}
+
 impl Bench {
     fn open(dir: &Path) -> Arc<Catalog> {
         let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
@@ -62,12 +71,14 @@ impl Bench {
             store: Arc::new(Store::open(dir, options).expect("a store")),
             jobs: Arc::new(Jobs::default()),
             clock: Arc::new(SystemClock),
-            update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool")),
+            update_turns: Arc::new(crate::ingest::update_turns::UpdateTurns::new(2)),
             fatal: mpsc::unbounded_channel().0,
             forks: mpsc::unbounded_channel().0,
             max_states: 10,
             max_producers: 10,
+            max_producers_of_client: 10,
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
+            update_readings_max: tidemap_map::update::UPDATE_READINGS_MAX,
             update_at_midnight: true,
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
@@ -94,14 +105,8 @@ impl Bench {
 
     fn of(catalog: Arc<Catalog>) -> Self {
         let handle = catalog.get("office").expect("there");
-        let limits = QueryLimits {
-            predictions: 10_000,
-            batch: 4096,
-            trained_models: 100,
-            training_readings: 10_000,
-            watches: 2,
-        };
-        Self { queries: Queries::new(catalog, limits), handle }
+        let limits = QueryLimits { predictions: 10_000, batch: 4096, trained_models: 100, training_readings: 10_000 };
+        Self { queries: Queries::new(catalog, limits, shares()), handle }
     }
 
     /// The daemon after a restart, with the data of this one.
@@ -130,6 +135,7 @@ impl Bench {
         let (reply, answer) = oneshot::channel();
         let key = ProducerKey::new(name, "").expect("valid");
         let hello = Hello {
+            client: String::new(),
             key,
             incarnation: 0,
             probe: None,
@@ -230,7 +236,7 @@ impl Robot {
         assert!(
             bench
                 .handle
-                .send(Command::StreamData { session, data: StreamData::Observations(batch, [permit(), permit()]) })
+                .send(Command::StreamData { session, data: StreamData::Observations(batch, vec![permit(), permit()]) })
         );
         self.settled().await;
     }
@@ -245,9 +251,10 @@ impl Robot {
                 self.sent = batch.span.last;
                 let session = self.opened.session;
                 assert!(
-                    bench
-                        .handle
-                        .send(Command::StreamData { session, data: StreamData::Scans(batch, [permit(), permit()]) })
+                    bench.handle.send(Command::StreamData {
+                        session,
+                        data: StreamData::Scans(batch, vec![permit(), permit()])
+                    })
                 );
             }
         }

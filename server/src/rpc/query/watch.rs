@@ -30,13 +30,12 @@ use tidemap_map::{
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
-        OverLimit,
         anomaly::{WatchQuestion, watch_from_wire},
         cells::cell_from_wire,
     },
     v1,
 };
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, broadcast::error::RecvError, mpsc, oneshot};
+use tokio::sync::{Semaphore, broadcast::error::RecvError, mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -53,6 +52,7 @@ use crate::{
         replies::Replies,
         status::RpcError,
     },
+    shares::{Share, Shares, client::Client},
 };
 
 /// Replies that wait for the reader.
@@ -67,23 +67,14 @@ type Sender = mpsc::Sender<Result<v1::WatchAnomaliesResponse, Status>>;
 /// Limits of watches.
 #[derive(Debug)]
 pub(super) struct Watches {
-    places: Arc<Semaphore>,
-    max: usize,
+    shares: Shares,
     permits: Arc<Semaphore>,
 }
 
 impl Watches {
-    /// At most `max` at once.
-    pub(super) fn new(max: usize) -> Self {
-        let max = max.min(Semaphore::MAX_PERMITS);
-        let permits = Arc::new(Semaphore::new((processors() / 2).max(1)));
-        Self { places: Arc::new(Semaphore::new(max)), max, permits }
-    }
-
-    fn place(&self) -> Result<OwnedSemaphorePermit, RpcError> {
-        let max = self.max as u64;
-        let full = |_| OverLimit { what: "watches", got: Some(max + 1), max, setting: "setting max_watches" }.into();
-        Arc::clone(&self.places).try_acquire_owned().map_err(full)
+    /// They take of these shares.
+    pub(super) fn new(shares: Shares) -> Self {
+        Self { shares, permits: Arc::new(Semaphore::new((processors() / 2).max(1))) }
     }
 }
 
@@ -96,7 +87,7 @@ pub(super) async fn watch_anomalies(
     check_limit("states", question.states.len() as u64, STATES_MAX as u64, "one request")?;
     let Selection { states, cells } = watched(&handle.view(), &question)?;
     let WatchQuestion { confidence, selector, .. } = question;
-    let place = queries.watches.place()?;
+    let place = queries.watches.shares.take(Share::Watches, &Client::current(), 1)?;
     let listening = if states.as_ref().is_none_or(|states| !states.is_empty()) {
         let (reply, listening) = oneshot::channel();
         if !handle.send(Command::Watch(reply)) {

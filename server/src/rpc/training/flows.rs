@@ -11,7 +11,7 @@ use tidemap_proto::convert::query::FlowSource;
 use super::{LearnedState, ModelTrainer};
 use crate::{
     ingest::handle::MapHandle,
-    model_cache::{FlowKey, ModelUnavailable, TrainingStop, train_flow},
+    model_cache::{FlowKey, ModelSubject, ModelUnavailable, TrainingStop, train_flow},
     rpc::{
         lookup::find_state,
         permits::run_blocking,
@@ -23,7 +23,7 @@ impl ModelTrainer {
     /// The flow of a source in a field of the request, from the cache or trained now.
     ///
     /// # Errors
-    /// The states do not fit; [`RpcError::FlowUnavailable`] if there can be no flow; others if the readings cannot be
+    /// The states do not fit; [`RpcError::ModelUnavailable`] if there can be no flow; others if the readings cannot be
     /// read.
     pub(in crate::rpc) async fn flow(
         self: &Arc<Self>,
@@ -43,17 +43,9 @@ impl ModelTrainer {
             }
         }
         let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], source);
-        if let Some(flow) = self.flows.get(&key) {
-            return Ok(flow);
-        }
         let (this, asked) = (Arc::clone(self), source.clone());
-        let interest = self.flows.interest(key);
-        let stop = Arc::new(interest.training_stop());
-        // A task of its own: if this request is dropped, others may wait for the same flow.
-        let training = async move { this.flows.get_or_train(key, this.train_flow(&axes, asked, stop)).await };
-        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
-        drop(interest);
-        trained.map_err(flow_error)
+        let train = move |stop| async move { this.train_flow(&axes, asked, stop).await };
+        self.flows.train_once(key, train).await.map_err(flow_error)
     }
 
     async fn train_flow(
@@ -98,7 +90,8 @@ fn plane(view: &MapView, field: &str, name: &str, may_be_angle: bool) -> Result<
 fn flow_error(error: RpcError, state: &str, motion_state: &str) -> RpcError {
     match error {
         RpcError::ModelUnavailable { map, reason, .. } => {
-            RpcError::FlowUnavailable { map, state: state.to_owned(), motion_state: motion_state.to_owned(), reason }
+            let subject = ModelSubject::Flow { state: state.to_owned(), motion_state: motion_state.to_owned() };
+            RpcError::ModelUnavailable { subject, map, reason }
         }
         other => other,
     }

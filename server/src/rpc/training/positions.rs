@@ -9,7 +9,7 @@ use tidemap_model::{Sample, StopSignal, models::CannotTrain, selector::ModelKind
 
 use super::{LearnedState, ModelTrainer};
 use crate::{
-    model_cache::{ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
+    model_cache::{ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
     rpc::{permits::run_blocking, status::RpcError},
 };
 
@@ -28,19 +28,8 @@ impl ModelTrainer {
         if first.observations() == 0 {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
-        let (map, generation, subject) = (first.handle.id, first.view.generation(), first.target.subject());
-        let key = ModelKey { map, handle: first.handle.number, generation, subject, kind, place: None };
-        if let Some(model) = self.positions.get(&key) {
-            return Ok(model);
-        }
-        let this = Arc::clone(self);
-        let interest = self.positions.interest(key);
-        let stop = Arc::new(interest.training_stop());
-        // A task of its own: if this request is dropped, others may wait for the same model.
-        let training = async move { this.positions.get_or_train(key, this.train_positions(&axes, kind, stop)).await };
-        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
-        drop(interest);
-        trained
+        let (key, this) = (first.key(kind, None), Arc::clone(self));
+        self.positions.train_once(key, move |stop| async move { this.train_positions(&axes, kind, stop).await }).await
     }
 
     async fn train_positions(
@@ -82,20 +71,9 @@ impl ModelTrainer {
                 return Err(state.unavailable(kind, ModelUnavailable::Unlearned));
             }
         }
-        let (map, generation, subject) = (learned.handle.id, learned.view.generation(), learned.target.subject());
-        let key = ModelKey { map, handle: learned.handle.number, generation, subject, kind, place: Some(place) };
-        if let Some(model) = self.places.get(&key) {
-            return Ok(model);
-        }
-        let this = Arc::clone(self);
-        let interest = self.places.interest(key);
-        let stop = Arc::new(interest.training_stop());
-        // A task of its own, as above.
-        let training =
-            async move { this.places.get_or_train(key, this.train_places(&learned, &axes, kind, stop)).await };
-        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
-        drop(interest);
-        trained
+        let (key, this) = (learned.key(kind, Some(place)), Arc::clone(self));
+        let train = move |stop| async move { this.train_places(&learned, &axes, kind, stop).await };
+        self.places.train_once(key, train).await
     }
 
     async fn train_places(

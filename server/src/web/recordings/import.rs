@@ -2,7 +2,8 @@
 //!
 //! Invariant: the program has nothing of the daemon but a Unix socket that nobody else can reach, on which the caller's
 //! token is checked as on every port. It ends before its file is removed, whoever leaves first: the sender, who
-//! reads what it says, or the daemon. What it says is bounded.
+//! reads what it says, the sender's token, or the daemon. What it says is bounded, and so are its memory, its processor
+//! time and its duration.
 
 use std::{
     convert::Infallible,
@@ -12,12 +13,13 @@ use std::{
         unix::process::{CommandExt as _, ExitStatusExt as _},
     },
     path::{Path, PathBuf},
+    pin::pin,
     process::{ExitStatus, Stdio},
     time::{Duration, Instant},
 };
 
 use axum::body::Bytes;
-use rustix::process::{Pid, Resource, Rlimit, prlimit};
+use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::{Value, json};
 use tidemap_map::name::{MapName, ProducerKey};
 use tokio::{
@@ -30,6 +32,7 @@ use tracing::{info, warn};
 
 use super::workplace::Workplace;
 use crate::{
+    access::Caller,
     connections::{
         ConnectionLimits, Connections, Port,
         accept::{Acceptor, Listener},
@@ -38,8 +41,14 @@ use crate::{
     rpc::{self, admission::Admitted, guard::Access, serve::Services},
 };
 
-/// Address space of the program, which needs a tenth of it. A hostile file cannot take the daemon's memory.
-const MEMORY_BYTES: u64 = 2 << 30;
+/// Processor time of the program: so many seconds, and one more for so many bytes of the file. A hostile file of a few
+/// bytes could take hours.
+const CPU_SECS: u64 = 120;
+const BYTES_PER_CPU_SEC: u64 = 256 << 10;
+/// A program that does not end when its processor time is over is killed so many seconds later.
+const CPU_SECS_TO_END: u64 = 5;
+/// An import ends within this time.
+const ENDS_WITHIN: Duration = Duration::from_secs(12 * 3600);
 /// The system ends the program before the daemon where memory is short.
 const OOM_SCORE: &str = "1000";
 /// Connections of the program.
@@ -75,6 +84,8 @@ pub(super) struct Import {
     pub(super) key: ProducerKey,
     /// What the program proves its sender by.
     pub(super) token: Option<String>,
+    /// Size of the file.
+    pub(super) bytes: u64,
     pub(super) place: Workplace,
     pub(super) origin: Origin,
 }
@@ -86,6 +97,10 @@ enum Stopped {
     Left,
     #[error("the daemon is stopping; the same file again sends what is missing")]
     Stopping,
+    #[error("the sender's token was revoked or changed, or has expired: send the file again with one that is valid")]
+    Revoked,
+    #[error("the import has not ended within {} hours: use tidemap import", ENDS_WITHIN.as_secs() / 3600)]
+    Long,
     #[error("the import cannot be run: {0}")]
     Io(#[from] io::Error),
 }
@@ -95,6 +110,8 @@ impl Stopped {
         let (code, reason) = match self {
             Self::Left => ("CANCELLED", "LEFT"),
             Self::Stopping => ("UNAVAILABLE", "STOPPING"),
+            Self::Revoked => ("UNAUTHENTICATED", "REVOKED"),
+            Self::Long => ("DEADLINE_EXCEEDED", "LATE"),
             Self::Io(_) => ("INTERNAL", "IMPORT_FAILED"),
         };
         json!({ "error": { "code": code, "reason": reason, "message": self.to_string() } })
@@ -121,7 +138,7 @@ impl Import {
         let (sender, lines) = mpsc::channel(LINES_AHEAD);
         crate::task::spawn(async move {
             let listeners = Listeners(sender);
-            let ended = self.run(&listeners).await;
+            let ended = self.run(&listeners, admitted.caller().clone()).await;
             let (map, file) = (self.map.as_str(), self.place.file());
             match &ended {
                 Ok(exit) => info!(map, file, exit, "a recording was imported"),
@@ -140,30 +157,42 @@ impl Import {
     }
 
     /// Runs the program to its end, and gives its exit status.
-    async fn run(&self, listeners: &Listeners) -> Result<i32, Stopped> {
+    async fn run(&self, listeners: &Listeners, caller: Caller) -> Result<i32, Stopped> {
         let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Imports, CONNECTIONS));
         acceptor.listen(Listener::Unix(listen_in(self.place.folder())?));
         let (stop, stopped) = watch::channel(false);
         let Origin { services, access, .. } = &self.origin;
         crate::task::spawn(rpc::serve::serve(accepted, access.clone(), services.clone(), false, stopped));
-        let ended = self.follow(listeners).await;
+        let ended = self.follow(listeners, caller).await;
         stop.send_replace(true);
         ended
     }
 
-    async fn follow(&self, listeners: &Listeners) -> Result<i32, Stopped> {
+    async fn follow(&self, listeners: &Listeners, caller: Caller) -> Result<i32, Stopped> {
         let mut child = self.spawn()?;
         let mut stopping = self.origin.stopping.clone();
+        let mut revoked = pin!(self.origin.access.clone().revoked(caller));
         let followed = tokio::select! {
+            biased;
+            () = revoked.as_mut() => Err(Stopped::Revoked),
             followed = follow(&mut child, self.token.as_deref(), listeners) => followed,
             () = listeners.0.closed() => Err(Stopped::Left),
             _ = stopping.wait_for(|stopping| *stopping) => Err(Stopped::Stopping),
+            () = tokio::time::sleep(ENDS_WITHIN) => Err(Stopped::Long),
         };
-        if followed.is_err() {
-            // One that has ended already needs none.
-            drop(child.kill().await);
+        let status = match followed {
+            Ok(status) => status,
+            Err(stopped) => {
+                // One that has ended already needs none.
+                drop(child.kill().await);
+                return Err(stopped);
+            }
+        };
+        // The program may have learned it first, and ended.
+        if !status.success() && tokio::time::timeout(Duration::ZERO, revoked).await.is_ok() {
+            return Err(Stopped::Revoked);
         }
-        Ok(exit_status(followed?))
+        Ok(exit_status(status))
     }
 
     fn spawn(&self) -> io::Result<Child> {
@@ -177,6 +206,8 @@ impl Import {
             .current_dir(self.place.recording_folder())
             .env_clear()
             .env("TIDEMAP_SERVER", format!("unix:../{SOCKET}"))
+            // It ends with this process, and leaves the processor to others.
+            .env("TIDEMAP_DAEMON", std::process::id().to_string())
             // Few threads and heaps: each takes address space.
             .envs([("TOKIO_WORKER_THREADS", "2"), ("MALLOC_ARENA_MAX", "2")])
             .stdout(Stdio::piped())
@@ -190,7 +221,7 @@ impl Import {
             command.stdin(Stdio::null());
         }
         let child = Command::from(command).kill_on_drop(true).spawn()?;
-        limit(&child);
+        limit(&child, self.place.memory(), cpu_secs(self.bytes));
         Ok(child)
     }
 }
@@ -201,13 +232,23 @@ fn listen_in(folder: &Path) -> io::Result<tokio::net::UnixListener> {
     listen_unix(&Path::new("/proc/self/fd").join(opened.as_raw_fd().to_string()).join(SOCKET), 0o600)
 }
 
+/// Processor time of the program that reads a file of so many bytes.
+fn cpu_secs(bytes: u64) -> u64 {
+    CPU_SECS + bytes / BYTES_PER_CPU_SEC
+}
+
 /// Limits what the program may take. It was started a moment ago, and has read nothing yet.
-fn limit(child: &Child) {
+fn limit(child: &Child, memory_bytes: u64, cpu_secs: u64) {
     let Some(pid) = child.id() else { return };
-    let limited = Rlimit { current: Some(MEMORY_BYTES), maximum: Some(MEMORY_BYTES) };
     let pid_raw = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    if let Err(error) = prlimit(pid_raw, Resource::As, limited) {
-        warn!(%error, "the memory of an import is not limited");
+    for (what, resource, current, maximum) in [
+        ("memory", Resource::As, memory_bytes, memory_bytes),
+        ("processor time", Resource::Cpu, cpu_secs, cpu_secs + CPU_SECS_TO_END),
+    ] {
+        let limited = Rlimit { current: Some(current), maximum: Some(maximum) };
+        if let Err(error) = prlimit(pid_raw, resource, limited) {
+            warn!(%error, what, "what an import takes is not limited");
+        }
     }
     // Where the system does not allow it, the daemon is no worse off than without.
     let _ = fs::write(format!("/proc/{pid}/oom_score_adj"), OOM_SCORE);
@@ -250,10 +291,15 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
         listeners.line(&format!("{} more lines are left out", count - LINES_MAX)).await?;
     }
     if let Some(signal) = status.signal() {
-        let text = format!(
-            "the program that read the file was ended by signal {signal}: the file may need more memory than an import \
-             has here. Use tidemap import"
-        );
+        let text = if signal == Signal::XCPU.as_raw() {
+            "the file takes more time of the processor than an import of its size has here: use tidemap import"
+                .to_owned()
+        } else {
+            format!(
+                "the program that read the file was ended by signal {signal}: the file may need more memory than an \
+                 import has here. Use tidemap import"
+            )
+        };
         listeners.line(&text).await?;
     }
     Ok(status)
@@ -314,6 +360,24 @@ mod tests {
         assert_eq!(lengths, [4096, 4096, 1808]);
         let (status, lines) = lines_of("kill -9 $$", None).await;
         assert_eq!((exit_status(status), lines.len()), (137, 1));
+    }
+
+    #[tokio::test]
+    async fn a_program_that_takes_too_much_of_the_processor_ends_and_says_why() {
+        let mut command = Command::new("/bin/sh");
+        command.args(["-c", "while :; do :; done"]).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.kill_on_drop(true).spawn().expect("a shell");
+        limit(&child, 1 << 30, 1);
+        let (sender, mut receiver) = mpsc::channel(LINES_AHEAD);
+        let status = follow(&mut child, None, &Listeners(sender)).await.expect("it ends");
+        assert_eq!(status.signal(), Some(Signal::XCPU.as_raw()));
+        let mut heard = Vec::new();
+        while let Some(Ok(line)) = receiver.recv().await {
+            heard.extend_from_slice(&line);
+        }
+        let heard = String::from_utf8_lossy(&heard);
+        assert!(heard.contains("time of the processor") && heard.contains("tidemap import"), "{heard}");
+        assert_eq!((cpu_secs(2_000), cpu_secs(4 << 30)), (CPU_SECS, CPU_SECS + 16_384));
     }
 
     #[tokio::test]

@@ -8,7 +8,10 @@ use axum::{http::StatusCode, response::Response};
 use tidemap_map::name::{InvalidName, MapName};
 use tonic::Status;
 
-use super::super::{json, links::Failure};
+use super::{
+    super::{json, links::Failure},
+    turns::NoTurn,
+};
 use crate::rpc::status::RpcError;
 
 /// Why a recording is not taken.
@@ -39,8 +42,8 @@ pub(super) enum UploadError {
     LongName { bytes: usize, max: usize },
     #[error("send the file as application/octet-stream")]
     MediaType,
-    #[error("another recording is being imported, and only one can be at a time: try again when it has ended")]
-    Busy,
+    #[error(transparent)]
+    NoTurn(#[from] NoTurn),
     #[error(
         "the file has more than {max} bytes, which is the maximum (setting max_upload_bytes): use tidemap import, or \
          split the recording"
@@ -55,6 +58,12 @@ pub(super) enum UploadError {
     NoRoom { free: u64, kept: u64 },
     #[error("nothing more of the file arrived for {secs} seconds: send it again")]
     Late { secs: u64 },
+    #[error(
+        "the file arrives too slowly: it needs {kib_per_sec} KiB a second. Use tidemap import, which can go on later"
+    )]
+    Slow { kib_per_sec: u64 },
+    #[error("the file has not arrived within {hours} hours: use tidemap import, or split the recording")]
+    Long { hours: u64 },
     #[error("the file broke off: send it again")]
     Broken,
     #[error("the daemon is stopping; send the file again later")]
@@ -92,10 +101,13 @@ impl UploadError {
             Self::Empty => (StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "EMPTY"),
             Self::Broken => (StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "BROKEN"),
             Self::MediaType => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", "MEDIA_TYPE"),
-            Self::Busy => (StatusCode::TOO_MANY_REQUESTS, "RESOURCE_EXHAUSTED", "BUSY"),
+            Self::NoTurn(NoTurn::Memory(_)) => (StatusCode::SERVICE_UNAVAILABLE, "RESOURCE_EXHAUSTED", "NO_MEMORY"),
+            Self::NoTurn(_) => (StatusCode::TOO_MANY_REQUESTS, "RESOURCE_EXHAUSTED", "BUSY"),
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "RESOURCE_EXHAUSTED", "LIMIT"),
             Self::NoRoom { .. } => (StatusCode::INSUFFICIENT_STORAGE, "RESOURCE_EXHAUSTED", "DISK_FULL"),
-            Self::Late { .. } => (StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", "LATE"),
+            Self::Late { .. } | Self::Slow { .. } | Self::Long { .. } => {
+                (StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", "LATE")
+            }
             Self::Stopping => (StatusCode::SERVICE_UNAVAILABLE, "UNAVAILABLE", "STOPPING"),
             Self::Disk(_) => (StatusCode::INTERNAL_SERVER_ERROR, "INTERNAL", "STORAGE_FAILED"),
         };

@@ -1,7 +1,8 @@
-//! Where a file waits for its import: a folder in the data folder, for one import at a time.
+//! Where a file waits for its import: a folder in the data folder for each turn.
 //!
-//! Invariant: the folder is empty when no import is under way, whatever ended the last one, and the turn to import is
-//! free only then. The disk keeps [`FREE_BYTES_KEPT`] for maps.
+//! Invariant: the folder of a turn is gone when no import has the turn, whatever ended the last one, and the turn is
+//! free only then. The disk keeps [`FREE_BYTES_KEPT`] for maps. A file arrives at a least pace, so that nobody keeps a
+//! turn by sending little.
 
 use std::{
     fs, io,
@@ -12,17 +13,22 @@ use std::{
 use axum::body::Body;
 use http_body_util::BodyExt as _;
 use rustix::fs::statvfs;
-use tokio::{io::AsyncWriteExt as _, sync::OwnedSemaphorePermit};
+use tokio::{io::AsyncWriteExt as _, time::Instant};
 use tracing::warn;
 
-use super::upload_error::UploadError;
+use super::{turns::Turn, upload_error::UploadError};
 
 /// Free bytes of the disk that files do not take.
 const FREE_BYTES_KEPT: u64 = 1 << 30;
 /// Bytes that arrive between two looks at the disk.
 const LOOK_EVERY_BYTES: u64 = 64 << 20;
 /// More of a file has to arrive within this time.
-const ARRIVES_WITHIN: Duration = Duration::from_secs(60);
+const PAUSE: Duration = Duration::from_secs(30);
+/// All pauses together may take so long, and so much more as the bytes that have arrived give.
+const SLACK: Duration = Duration::from_secs(30);
+const BYTES_PER_SEC: u64 = 64 << 10;
+/// A file has to arrive within this time.
+const ARRIVES_WITHIN: Duration = Duration::from_secs(6 * 3600);
 /// Maximum size of the name of a file, so that it fits into a label and into any folder.
 const NAME_BYTES_MAX: usize = 120;
 /// The folder of the file, in which the program that reads it is started.
@@ -80,7 +86,7 @@ async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send 
 pub(super) struct Workplace {
     folder: PathBuf,
     file: String,
-    turn: Option<OwnedSemaphorePermit>,
+    turn: Option<Turn>,
 }
 
 impl Workplace {
@@ -88,16 +94,23 @@ impl Workplace {
     ///
     /// # Errors
     /// The disk.
-    pub(super) async fn make(folder: PathBuf, file: &str, turn: OwnedSemaphorePermit) -> io::Result<Self> {
+    pub(super) async fn make(uploads: &Path, file: &str, turn: Turn) -> io::Result<Self> {
+        let (turns, folder) = (turn.turns().clone(), uploads.join(turn.number().to_string()));
         let place = Self { folder, file: file.to_owned(), turn: Some(turn) };
         let (folder, made) = (place.folder.clone(), place.recording_folder());
         on_disk(move || {
             // Work that was given up may have left something since.
             empty(&folder)?;
-            fs::create_dir_all(made)
+            // Whoever leaves last removes the folder of all.
+            turns.still(|| fs::create_dir_all(made))
         })
         .await?;
         Ok(place)
+    }
+
+    /// What the program may take of the memory, in bytes.
+    pub(super) fn memory(&self) -> u64 {
+        self.turn.as_ref().map_or(0, Turn::memory)
     }
 
     /// The folder that holds nothing but the file.
@@ -115,16 +128,17 @@ impl Workplace {
         &self.file
     }
 
-    /// Writes a file as it arrives.
+    /// Writes a file as it arrives, and gives its size.
     ///
     /// # Errors
     /// It is too large or empty, does not arrive, or the disk has no room.
-    pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<(), UploadError> {
+    pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<u64, UploadError> {
         let mut file = tokio::fs::File::create_new(self.recording_folder().join(&self.file)).await?;
         let (mut received, mut looked_at) = (0_u64, 0);
+        let began = Instant::now();
         loop {
-            let late = |_| UploadError::Late { secs: ARRIVES_WITHIN.as_secs() };
-            let Some(frame) = tokio::time::timeout(ARRIVES_WITHIN, body.frame()).await.map_err(late)? else { break };
+            let (due, late) = due(began, received);
+            let Some(frame) = tokio::time::timeout_at(due, body.frame()).await.map_err(|_| late)? else { break };
             let Ok(data) = frame.map_err(|_| UploadError::Broken)?.into_data() else { continue };
             received += data.len() as u64;
             if received > max_bytes {
@@ -137,7 +151,7 @@ impl Workplace {
             self.written(file.write_all(&data).await)?;
         }
         self.written(file.flush().await)?;
-        if received == 0 { Err(UploadError::Empty) } else { Ok(()) }
+        if received == 0 { Err(UploadError::Empty) } else { Ok(received) }
     }
 
     fn written(&self, done: io::Result<()>) -> Result<(), UploadError> {
@@ -158,10 +172,22 @@ impl Workplace {
     }
 }
 
-fn remove(folder: &Path, turn: OwnedSemaphorePermit) {
+/// When more of a file has to arrive that began to arrive then, and why it is refused if it does not.
+fn due(began: Instant, received: u64) -> (Instant, UploadError) {
+    let pause = (Instant::now() + PAUSE, UploadError::Late { secs: PAUSE.as_secs() });
+    let paced = began + SLACK + Duration::from_secs(received / BYTES_PER_SEC);
+    let slow = (paced, UploadError::Slow { kib_per_sec: BYTES_PER_SEC >> 10 });
+    let long = (began + ARRIVES_WITHIN, UploadError::Long { hours: ARRIVES_WITHIN.as_secs() / 3600 });
+    let first = if slow.0 < pause.0 { slow } else { pause };
+    if long.0 < first.0 { long } else { first }
+}
+
+fn remove(folder: &Path, turn: Turn) {
     if let Err(error) = empty(folder) {
         warn!(%error, folder = %folder.display(), "a file that was imported is still there; the next start removes it");
     }
+    // It stays while others have a place there.
+    let _ = turn.turns().still(|| folder.parent().map(fs::remove_dir));
     drop(turn);
 }
 
@@ -178,7 +204,10 @@ impl Drop for Workplace {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use tokio_stream::StreamExt as _;
+
+    use super::{super::turns::Turns, *};
+    use crate::connections::Peer;
 
     #[test]
     fn a_file_name_has_no_folder_and_is_a_name() {
@@ -198,22 +227,60 @@ mod tests {
         assert!(matches!(file_name(&"ü".repeat(61)), Err(UploadError::LongName { bytes: 122, .. })));
     }
 
+    fn turn() -> Turn {
+        let map = tidemap_map::name::MapName::new("flat").expect("a name");
+        Turns::default().take(&map, Peer::Local, None).expect("a turn")
+    }
+
     #[tokio::test]
     async fn a_place_is_empty_before_the_next_has_its_turn() {
         let data = tempfile::tempdir().expect("a folder");
         let folder = data.path().join("uploads");
-        let turns = std::sync::Arc::new(tokio::sync::Semaphore::new(1));
         for is_dropped in [true, false] {
-            let turn = std::sync::Arc::clone(&turns).acquire_owned().await.expect("a turn");
             assert!(!folder.exists());
-            let place = Workplace::make(folder.clone(), "a.bag", turn).await.expect("a place");
-            place.receive(Body::from("bytes"), 5).await.expect("taken");
-            assert_eq!(fs::read(folder.join("recording/a.bag")).expect("there"), b"bytes");
-            if is_dropped { drop(place) } else { place.clear().await }
+            let turn = turn();
+            let turns = turn.turns().clone();
+            let place = Workplace::make(&folder, "a.bag", turn).await.expect("a place");
+            assert_eq!(place.receive(Body::from("bytes"), 5).await.expect("taken"), 5);
+            assert_eq!(fs::read(folder.join("0/recording/a.bag")).expect("there"), b"bytes");
+            if is_dropped {
+                drop(place);
+            } else {
+                place.clear().await;
+            }
+            while turns.any() {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
         }
-        let turn = std::sync::Arc::clone(&turns).acquire_owned().await.expect("a turn");
         assert!(!folder.exists());
-        let place = Workplace::make(folder.clone(), "a.bag", turn).await.expect("a place");
+        let place = Workplace::make(&folder, "a.bag", turn()).await.expect("a place");
         assert!(matches!(place.receive(Body::from("bytes!"), 5).await, Err(UploadError::TooLarge { max: 5 })));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_file_that_trickles_is_refused_and_a_slow_one_is_taken() {
+        let data = tempfile::tempdir().expect("a folder");
+        let folder = data.path().join("uploads");
+        let sent = |piece: usize, every: Duration, count: usize| {
+            let pieces = tokio_stream::iter(0..count).throttle(every);
+            Body::from_stream(pieces.map(move |_| Ok::<_, std::convert::Infallible>(vec![7; piece])))
+        };
+        for (body, is_taken) in [
+            (sent(1, Duration::from_secs(20), 100), false),
+            (sent(60 << 10, Duration::from_secs(1), 1000), false),
+            (sent(70 << 10, Duration::from_secs(1), 1000), true),
+            (sent(3 << 20, Duration::from_secs(40), 10), false),
+            (sent(2 << 20, Duration::from_secs(25), 10), true),
+        ] {
+            let place = Workplace::make(&folder, "a.bag", turn()).await.expect("a place");
+            let received = place.receive(body, u64::MAX).await;
+            match received {
+                Ok(_) => assert!(is_taken),
+                Err(error) => {
+                    assert!(!is_taken && matches!(error, UploadError::Slow { .. } | UploadError::Late { .. }));
+                }
+            }
+            place.clear().await;
+        }
     }
 }

@@ -16,6 +16,7 @@ use tidemap_model::{Periodicities, PhasorSum};
 
 use super::tiles::{CheckpointTiles, TileOffset, TileOffsets};
 use crate::{
+    failure::ReadFailure,
     record::{
         day, spec, tile,
         tile_model::{self, EncodedSums},
@@ -79,17 +80,21 @@ struct TileReader<'reader> {
 }
 
 /// Reads a grid.
-pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, keep: Keep) -> Result<ReadGrid, String> {
+pub(super) fn read(
+    reader: &mut RecordReader,
+    periodicities: &Periodicities,
+    keep: Keep,
+) -> Result<ReadGrid, ReadFailure> {
     let mut buffer = Vec::new();
     let head: v1::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
     if head.models > head.tiles {
-        return Err("there are more models than tiles".to_owned());
+        return Err("there are more models than tiles".into());
     }
     let mut last_seen = &head.last_seen[..];
     let mut room = head.tiles as usize;
     let last_seen_tiles = tile_set::take_set(&mut last_seen, &[], head.tiles, &mut room)?;
     if !last_seen.is_empty() {
-        return Err("the tiles of the last scan are too many".to_owned());
+        return Err("the tiles of the last scan are too many".into());
     }
     let mut grid = GridSnapshot {
         tiles: Vec::new(),
@@ -130,7 +135,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
     for _ in 0..head.days {
         let day = read_day(reader, head.tiles, &mut buffer)?;
         if last_day.replace(day.day) >= Some(day.day) {
-            return Err("the days do not ascend".to_owned());
+            return Err("the days do not ascend".into());
         }
         if keeps {
             grid.days.push(day);
@@ -150,7 +155,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
 
 impl TileReader<'_> {
     /// The next tile, with its model and sums if they are loaded.
-    fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), String> {
+    fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), ReadFailure> {
         while self.reader.next_kind()? == RecordKind::SharedSum {
             self.offsets.shared.push(self.reader.offset());
             self.reader.long(RecordKind::SharedSum, &mut self.buffer)?;
@@ -167,7 +172,7 @@ impl TileReader<'_> {
             return Ok((live, (self.room > 0).then(Default::default)));
         }
         if !may_have_model {
-            return Err("a tile has a model where there should be none".to_owned());
+            return Err("a tile has a model where there should be none".into());
         }
         let model_offset = self.reader.offset();
         let model: v1::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
@@ -176,10 +181,10 @@ impl TileReader<'_> {
         self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
         let sums = EncodedSums::new(&self.buffer, self.periodicities)?;
         if sums.groups != model.groups.len() || sums.cells(self.periodicities) != model.cells.len() {
-            return Err("the sums of a tile differ in number from its groups and cells".to_owned());
+            return Err("the sums of a tile differ in number from its groups and cells".into());
         }
         if sums.shared.iter().any(|&number| number as usize >= self.offsets.shared.len()) {
-            return Err("a shared sum is missing".to_owned());
+            return Err("a shared sum is missing".into());
         }
         // Tiles are loaded in order until the limit, so that every shared sum that they refer to is loaded.
         let shared: Option<Vec<Arc<PhasorSum>>> =
@@ -192,14 +197,18 @@ impl TileReader<'_> {
 }
 
 /// The next day with its tiles.
-fn read_day(reader: &mut RecordReader, limit: u32, buffer: &mut Vec<u8>) -> Result<tidemap_grid::day::GridDay, String> {
+fn read_day(
+    reader: &mut RecordReader,
+    limit: u32,
+    buffer: &mut Vec<u8>,
+) -> Result<tidemap_grid::day::GridDay, ReadFailure> {
     let head: v1::Day = reader.long_message(RecordKind::Day, buffer)?;
     let mut kept = day::decode(&head, limit, |_| true)?;
     let mut next = 0;
     for _ in 0..head.tiles {
         let message: v1::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
         if !(next..head.tiles_end).contains(&message.tile) {
-            return Err("the tiles of a day are out of order".to_owned());
+            return Err("the tiles of a day are out of order".into());
         }
         let scans = message.scans.as_ref().ok_or("a tile of a day has no scans")?;
         kept.put(TileId(message.tile), day::decode_tile(scans, head.scans)?);

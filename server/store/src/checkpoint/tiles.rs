@@ -87,7 +87,7 @@ impl CheckpointTiles {
     pub(super) fn raw_model(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
         match self.offset(tile).model {
             0 => Ok(None),
-            offset => anywhere::long(&*self.file, RecordKind::TileModel, offset).map(|(bytes, _)| Some(bytes)),
+            offset => Ok(Some(anywhere::long(&*self.file, RecordKind::TileModel, offset)?.0)),
         }
     }
 
@@ -95,14 +95,14 @@ impl CheckpointTiles {
     pub(super) fn raw_sums(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
         match self.offset(tile).sums {
             0 => Ok(None),
-            offset => anywhere::long(&*self.file, RecordKind::TileSums, offset).map(|(bytes, _)| Some(bytes)),
+            offset => Ok(Some(anywhere::long(&*self.file, RecordKind::TileSums, offset)?.0)),
         }
     }
 
     /// A shared sum as bytes.
     pub(super) fn raw_shared(&self, number: u32) -> Result<Vec<u8>, String> {
         let offset = self.offsets.shared.get(number as usize).ok_or("a shared sum is not there")?;
-        anywhere::long(&*self.file, RecordKind::SharedSum, *offset).map(|(bytes, _)| bytes)
+        Ok(anywhere::long(&*self.file, RecordKind::SharedSum, *offset)?.0)
     }
 
     fn shared(&self) -> MutexGuard<'_, Vec<Weak<PhasorSum>>> {

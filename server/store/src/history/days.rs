@@ -82,7 +82,7 @@ impl GridDays {
         let mut table = Table::new(file);
         let entry = table.find(day_key(number))?.ok_or_else(|| damaged("a day is missing in its table"))?;
         let head = anywhere::message::<v1::Day>(&*file.file, RecordKind::Day, entry.offset);
-        let (head, _) = head.map_err(|reason| damaged(&reason))?;
+        let (head, _) = head.map_err(|failure| file.unread(failure))?;
         let keep = |tile| self.tiles.as_ref().is_none_or(|tiles| tiles.binary_search(&tile).is_ok());
         let mut scans = day::decode(&head, CellRef::TILES_MAX, keep).map_err(damaged)?;
         let range = self.from_nanos..self.to_nanos;
@@ -92,7 +92,7 @@ impl GridDays {
         let mut models = Vec::new();
         let mut take = |entry: Entry| {
             let read = anywhere::message::<v1::DayTile>(&*file.file, RecordKind::DayTile, entry.offset);
-            let (message, _) = read.map_err(|reason| damaged(&reason))?;
+            let (message, _) = read.map_err(|failure| file.unread(failure))?;
             if entry.key != tile_key(number, message.tile) {
                 return Err(damaged("its table names another tile than its records"));
             }

@@ -15,6 +15,7 @@ use tidemap_migrations::v1::{
 use crate::{
     disk::{Disk, DiskReader},
     error::HistoryError,
+    failure::ReadFailure,
     record_file::{RecordReader, anywhere},
 };
 
@@ -44,9 +45,14 @@ impl HistoryFile {
         let mut trailer = [0; TRAILER_LENGTH];
         file.read_exact_at(&mut trailer, length - TRAILER_LENGTH as u64).map_err(io_error)?;
         let trailer = Trailer::decode(&trailer).ok_or_else(|| damaged("its end is not valid"))?;
-        let (payload, _) = anywhere::raw(&*file, RecordKind::End, end).map_err(|reason| damaged(&reason))?;
+        let (payload, _) = anywhere::raw(&*file, RecordKind::End, end).map_err(|failure| unread(path, failure))?;
         let end = End::decode(&payload).ok_or_else(|| damaged("its end is not valid"))?;
         Ok(HistoryFile { file, path: path.to_owned(), end, total_crc: trailer.total_crc })
+    }
+
+    /// A record that cannot be read.
+    pub(super) fn unread(&self, failure: ReadFailure) -> HistoryError {
+        unread(&self.path, failure)
     }
 
     pub(super) fn damaged(&self, reason: impl Into<String>) -> HistoryError {
@@ -60,6 +66,15 @@ impl HistoryFile {
     /// Whether it may have observations from one instant up to another.
     pub(super) fn overlaps(&self, from_nanos: i64, to_nanos: i64) -> bool {
         self.end.from_nanos < to_nanos && self.end.to_nanos >= from_nanos
+    }
+}
+
+/// Why a file is of no use: what it holds is damaged, or the disk does not give it.
+fn unread(path: &Path, failure: ReadFailure) -> HistoryError {
+    let file = path.to_owned();
+    match failure {
+        ReadFailure::Damaged(reason) => HistoryError::Damaged { file, reason },
+        ReadFailure::Disk(reason) => HistoryError::Io { file, source: io::Error::other(reason) },
     }
 }
 

@@ -37,7 +37,7 @@ impl<'file> Table<'file> {
             let offset = number.checked_mul(stride).and_then(|offset| offset.checked_add(file.end.table));
             let offset = offset.ok_or_else(|| file.damaged("its table is not valid"))?;
             let read = anywhere::raw(&*file.file, RecordKind::Table, offset);
-            let (payload, _) = read.map_err(|reason| file.damaged(reason))?;
+            let (payload, _) = read.map_err(|failure| file.unread(failure))?;
             let (entries, rest) = payload.as_chunks::<ENTRY_LENGTH>();
             let expected = (file.end.entries - number * ENTRIES_MAX as u64).min(ENTRIES_MAX as u64);
             if !rest.is_empty() || entries.len() as u64 != expected {
@@ -137,7 +137,7 @@ impl<'file> Table<'file> {
         let mut offset = entry.offset;
         for _ in 0..entry.records {
             let read = anywhere::message::<StateSamples>(&*file.file, RecordKind::StateSamples, offset);
-            let (message, next) = read.map_err(|reason| file.damaged(reason))?;
+            let (message, next) = read.map_err(|failure| file.unread(failure))?;
             if message.state != id.0 {
                 return Err(file.damaged("its table names another state than its records"));
             }

@@ -20,10 +20,10 @@ use tidemap_migrations::v1::{
 use tidemap_model::Periodicities;
 
 use super::{
-    Damage, Trees, panics,
+    Trees, panics,
     rows::{self, Kind},
 };
-use crate::{checkpoint::ModelCache, record::tile_model};
+use crate::{checkpoint::ModelCache, failure::ReadFailure, record::tile_model};
 
 /// Bytes of models that are kept.
 const MODELS_BYTES: usize = 16 << 20;
@@ -56,16 +56,17 @@ impl IndexedCells {
         self.models.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn read(&self, tile: TileId) -> Result<TileModel, Damage> {
+    fn read(&self, tile: TileId) -> Result<TileModel, ReadFailure> {
         panics::catch(|| {
             let mut items = rows::items(Kind::Cells, self.cells.scan_prefix(item_key(self.map, tile.0)));
             let item = items.next().transpose()?;
-            let mark = self.generations.get(map_key(self.map)).map_err(|error| error.to_string())?;
+            let mark = self.generations.get(map_key(self.map))?;
             if mark.as_ref() != Some(&self.mark) {
-                return Err("a newer generation has replaced it".to_owned());
+                return Err("a newer generation has replaced it".into());
             }
             let Some(item) = item else { return Ok(TileModel::default()) };
-            tile_model::decode(&item.message::<v1::TileModel>(Kind::Cells)?, &self.periodicities)
+            let model = tile_model::decode(&item.message::<v1::TileModel>(Kind::Cells)?, &self.periodicities)?;
+            Ok::<_, ReadFailure>(model)
         })?
     }
 }

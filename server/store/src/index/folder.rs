@@ -8,6 +8,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::failure::ReadFailure;
+
 /// Removes a snapshot that sled was writing when the process was killed: sled refuses to open with it.
 pub(super) fn remove_unfinished_snapshots(folder: &Path) -> io::Result<()> {
     let entries = match fs::read_dir(folder) {
@@ -24,6 +26,30 @@ pub(super) fn remove_unfinished_snapshots(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Reads the settings of the database, where there is one: sled takes what is left of them for settings, or writes new
+/// ones without a word.
+///
+/// # Errors
+/// They cannot be read, or are not as they were written.
+pub(super) fn check_settings(folder: &Path) -> Result<(), ReadFailure> {
+    // An empty database has never been flushed.
+    match fs::metadata(folder.join("db")) {
+        Ok(database) if database.len() > 0 => {}
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+        _ => return Ok(()),
+    }
+    let bytes = match fs::read(folder.join("conf")) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err("its file conf is missing".into()),
+        bytes => bytes?,
+    };
+    match bytes.split_last_chunk::<4>() {
+        Some((settings, crc)) if !settings.is_empty() && u32::from_le_bytes(*crc) == crc32fast::hash(settings) => {
+            Ok(())
+        }
+        _ => Err("its file conf is cut or damaged".into()),
+    }
 }
 
 /// Renames the folder to the next free `index.damaged-N` and removes those before.
@@ -62,8 +88,9 @@ pub(super) fn remove_set_aside(folder: &Path) -> io::Result<()> {
     File::open(parent)?.sync_all()
 }
 
-/// Makes the names in the folder and its own durable.
+/// Makes the settings, the names in the folder and its own durable.
 pub(super) fn sync_with_parent(folder: &Path) -> io::Result<()> {
+    File::open(folder.join("conf"))?.sync_all()?;
     File::open(folder)?.sync_all()?;
     File::open(folder.parent().unwrap_or(Path::new(".")))?.sync_all()
 }

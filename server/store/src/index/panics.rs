@@ -9,18 +9,20 @@ use std::{
     sync::Once,
 };
 
+use crate::failure::ReadFailure;
+
 thread_local! {
     static IS_QUIET: Cell<bool> = const { Cell::new(false) };
 }
 
 static INSTALL: Once = Once::new();
 
-/// Runs `action`; a panic becomes its message.
-pub(super) fn catch<T>(action: impl FnOnce() -> T) -> Result<T, String> {
+/// Runs `action`; a panic becomes a failure with its message.
+pub(super) fn catch<T>(action: impl FnOnce() -> T) -> Result<T, ReadFailure> {
     INSTALL.call_once(|| {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
-            // The caller reports the repair; a backtrace would look like a crash of the daemon.
+            // The caller shows the error; a backtrace would look like a crash of the daemon.
             if !IS_QUIET.get() {
                 previous(info);
             }
@@ -30,7 +32,7 @@ pub(super) fn catch<T>(action: impl FnOnce() -> T) -> Result<T, String> {
     // The caller that gets the error drops everything that `action` has changed.
     let result = panic::catch_unwind(AssertUnwindSafe(action));
     IS_QUIET.set(false);
-    result.map_err(|payload| message(&*payload))
+    result.map_err(|payload| ReadFailure::of_text(message(&*payload)))
 }
 
 fn message(payload: &(dyn Any + Send)) -> String {
@@ -46,7 +48,7 @@ mod tests {
     #[test]
     fn a_panic_becomes_its_message() {
         assert_eq!(catch(|| 7), Ok(7));
-        assert_eq!(catch(|| panic!("page {}", 3)), Err::<(), _>("sled panicked: page 3".to_owned()));
-        assert_eq!(catch(|| panic!("page")), Err::<(), _>("sled panicked: page".to_owned()));
+        assert_eq!(catch(|| panic!("page {}", 3)), Err::<(), _>("sled panicked: page 3".into()));
+        assert_eq!(catch(|| panic!("page")), Err::<(), _>("sled panicked: page".into()));
     }
 }

@@ -28,11 +28,14 @@ use tidemap_migrations::{
 use tidemap_model::Periodicities;
 
 use super::{
-    Damage, KnownRows, Trees,
+    KnownRows, Trees,
     cells::IndexedCells,
     rows::{self, ItemRows, Kind, Sum},
 };
-use crate::record::{landmark, published, site as record_site, snapshot as record, spec, tile};
+use crate::{
+    failure::ReadFailure,
+    record::{landmark, published, site as record_site, snapshot as record, spec, tile},
+};
 
 /// States are decoded by this many threads at most.
 const THREADS_MAX: usize = 4;
@@ -50,15 +53,23 @@ pub(super) enum MarkState {
 }
 
 /// The mark of a map.
-pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, Damage> {
+pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, ReadFailure> {
     let key = map_key(map);
-    let Some(value) = trees.generations.get(key).map_err(|error| error.to_string())? else {
+    let Some(value) = trees.generations.get(key)? else {
         return Ok(MarkState::Nothing);
     };
     let payload = decode_value(GENERATIONS, &key, &value).ok_or("the mark of a map is damaged")?;
     let mark = Mark::decode(payload).map_err(|_| "the mark of a map is not a message")?;
     let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() >= Kind::ALWAYS;
     Ok(if is_clean { MarkState::Clean(Box::new(mark), value) } else { MarkState::Unfinished })
+}
+
+/// The maps that have a mark.
+pub(super) fn marked(trees: &Trees) -> Result<Vec<u32>, ReadFailure> {
+    let keys = trees.generations.iter().keys();
+    // A key of another length is no map's; what is wrong with it is found where rows are checked.
+    let maps = keys.filter_map(|key| key.map(|key| key.as_ref().try_into().ok().map(u32::from_be_bytes)).transpose());
+    Ok(maps.collect::<sled::Result<_>>()?)
 }
 
 /// How many items of a kind there may be.
@@ -81,14 +92,14 @@ fn each(
     map: u32,
     mark: &Mark,
     kind: Kind,
-    mut take: impl FnMut(ItemRows) -> Result<(), Damage>,
-) -> Result<Vec<Sum>, Damage> {
+    mut take: impl FnMut(ItemRows) -> Result<(), ReadFailure>,
+) -> Result<Vec<Sum>, ReadFailure> {
     let limit = limit(mark, kind);
     let mut sums = Vec::new();
     for item in rows::items(kind, trees.of(kind).scan_prefix(map_key(map))) {
         let item = item?;
         if item.number >= limit {
-            return Err(format!("there are more rows in {} than the mark of their map says", kind.name()));
+            return Err(format!("there are more rows in {} than the mark of their map says", kind.name()).into());
         }
         sums.resize(item.number as usize, Sum::default());
         sums.push(item.sum);
@@ -98,15 +109,15 @@ fn each(
     Ok(sums)
 }
 
-fn compare(mark: &Mark, map: u32, kind: Kind, sums: &[Sum]) -> Result<(), Damage> {
+fn compare(mark: &Mark, map: u32, kind: Kind, sums: &[Sum]) -> Result<(), ReadFailure> {
     if mark.totals.get(kind as usize).copied().unwrap_or_default() == rows::total(sums) {
         return Ok(());
     }
-    Err(format!("rows of map number {map} in {} are missing, stale or too many", kind.name()))
+    Err(format!("rows of map number {map} in {} are missing, stale or too many", kind.name()).into())
 }
 
 /// Reads all rows of a map and compares them with its mark, without keeping them.
-pub(super) fn check(trees: &Trees, map: u32, mark: &Mark) -> Result<KnownRows, Damage> {
+pub(super) fn check(trees: &Trees, map: u32, mark: &Mark) -> Result<KnownRows, ReadFailure> {
     let mut known = KnownRows::default();
     for kind in Kind::ALL {
         known.put(kind, each(trees, map, mark, kind, |_| Ok(()))?);
@@ -116,7 +127,7 @@ pub(super) fn check(trees: &Trees, map: u32, mark: &Mark) -> Result<KnownRows, D
 
 /// What the rows of a map publish; `None` where they are not whole. The models of a grid's tiles are read when they are
 /// asked for.
-pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, Damage> {
+pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, ReadFailure> {
     let MarkState::Clean(mark, raw) = mark(trees, map)? else { return Ok(None) };
     let header = mark.snapshot.ok_or("a mark has no generation")?;
     let mut producers = Vec::new();
@@ -138,12 +149,12 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
         Ok(())
     })?;
     if places.len() != limit(&mark, Kind::Landmarks) as usize {
-        return Err("landmarks of a place are missing".to_owned());
+        return Err("landmarks of a place are missing".into());
     }
     let site = landmark::decode_into(site, &places)?;
     let mut snapshot = record::decode(&header, producers, states, site)?;
     if spec.grid.is_some() != mark.grid.is_some() {
-        return Err("it has a grid where its map has none, or none where its map has one".to_owned());
+        return Err("it has a grid where its map has none, or none where its map has one".into());
     }
     snapshot.grid = match &mark.grid {
         Some(_) => Some(read_grid(trees, map, spec, &mark, raw)?),
@@ -158,7 +169,7 @@ fn read_states(
     map: u32,
     mark: &Mark,
     periodicities: &Periodicities,
-) -> Result<Vec<StateSnapshot>, Damage> {
+) -> Result<Vec<StateSnapshot>, ReadFailure> {
     let count = limit(mark, Kind::States);
     let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
     let threads = threads.min(count as usize / STATES_PER_THREAD + 1) as u32;
@@ -167,8 +178,8 @@ fn read_states(
     let parts = thread::scope(|scope| {
         let threads: Vec<_> =
             ranges.map(|range| scope.spawn(move || read_range(trees, map, range, periodicities))).collect();
-        let joined = threads.into_iter().map(|thread| thread.join().map_err(|_| "sled panicked".to_owned()));
-        joined.map(|part| part.and_then(|part| part)).collect::<Result<Vec<_>, Damage>>()
+        let joined = threads.into_iter().map(|thread| thread.join().map_err(|_| ReadFailure::from("sled panicked")));
+        joined.map(|part| part.and_then(|part| part)).collect::<Result<Vec<_>, ReadFailure>>()
     })?;
     let (mut states, mut sums) = (Vec::with_capacity(count as usize), Vec::with_capacity(count as usize));
     for (of_range, sums_of_range) in parts {
@@ -186,7 +197,7 @@ fn read_range(
     map: u32,
     range: Range<u32>,
     periodicities: &Periodicities,
-) -> Result<(Vec<StateSnapshot>, Vec<Sum>), Damage> {
+) -> Result<(Vec<StateSnapshot>, Vec<Sum>), ReadFailure> {
     super::panics::catch(|| {
         let mut states = Vec::with_capacity(range.len());
         let mut sums = Vec::with_capacity(range.len());
@@ -201,7 +212,13 @@ fn read_range(
     })?
 }
 
-fn read_grid(trees: &Trees, map: u32, spec: &MapSpec, mark: &Mark, raw: sled::IVec) -> Result<GridSnapshot, Damage> {
+fn read_grid(
+    trees: &Trees,
+    map: u32,
+    spec: &MapSpec,
+    mark: &Mark,
+    raw: sled::IVec,
+) -> Result<GridSnapshot, ReadFailure> {
     let of_grid = mark.grid.clone().unwrap_or_default();
     let mut tiles = Vec::new();
     each(trees, map, mark, Kind::Tiles, |item| {
@@ -210,7 +227,7 @@ fn read_grid(trees: &Trees, map: u32, spec: &MapSpec, mark: &Mark, raw: sled::IV
         Ok(())
     })?;
     if tiles.len() != of_grid.tiles as usize {
-        return Err("tiles are missing".to_owned());
+        return Err("tiles are missing".into());
     }
     let cells: Arc<dyn TileSource> = Arc::new(IndexedCells::new(trees, map, spec.periodicities.clone(), raw));
     let cold = |tile| ModelSlot::Cold(ColdTile { source: Arc::clone(&cells), tile: TileId(tile) });

@@ -11,7 +11,8 @@ use std::{
 use prost::Message as _;
 use tidemap_migrations::v1::index::{GENERATIONS, Mark, decode_value};
 
-use super::{Damage, Trees, folder, rows::Kind, save::RowBatch};
+use super::{LOCK_TRIES, Trees, folder, rows::Kind, save::RowBatch};
+use crate::failure::ReadFailure;
 
 /// Rewritten when it takes this many times its data on the disk, in percent.
 const PERCENT_MAX: u64 = 350;
@@ -48,16 +49,15 @@ pub(super) fn is_worth_it(trees: &Trees) -> bool {
 }
 
 /// Copies all rows into a new folder, which takes the place of the old one.
-pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Trees, Damage> {
-    let text = |error: io::Error| error.to_string();
-    remove_leftovers(folder).map_err(text)?;
+pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Trees, ReadFailure> {
+    remove_leftovers(folder)?;
     let new_folder = beside(folder, "new");
-    let new = Trees::open(&new_folder, cache_bytes)?;
+    let new = Trees::open(&new_folder, cache_bytes, LOCK_TRIES)?;
     let pairs = Kind::ALL.iter().map(|&kind| (old.of(kind), new.of(kind)));
     for (from, to) in pairs.chain([(&old.generations, &new.generations)]) {
         let mut collected = RowBatch::default();
         for row in from.iter() {
-            let (key, value) = row.map_err(|error| error.to_string())?;
+            let (key, value) = row?;
             collected.insert(to, &key, value.to_vec())?;
         }
         collected.apply(to)?;
@@ -65,11 +65,11 @@ pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Tre
     new.flush()?;
     drop((old, new));
     let old_folder = beside(folder, "old");
-    fs::rename(folder, &old_folder).map_err(text)?;
-    fs::rename(&new_folder, folder).map_err(text)?;
-    let trees = Trees::open(folder, cache_bytes)?;
-    folder::sync_with_parent(folder).map_err(text)?;
-    fs::remove_dir_all(&old_folder).map_err(text)?;
+    fs::rename(folder, &old_folder)?;
+    fs::rename(&new_folder, folder)?;
+    let trees = Trees::open(folder, cache_bytes, LOCK_TRIES)?;
+    folder::sync_with_parent(folder)?;
+    fs::remove_dir_all(&old_folder)?;
     Ok(trees)
 }
 

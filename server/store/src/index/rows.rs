@@ -15,8 +15,10 @@ use tidemap_migrations::{
     v2::{LANDMARKS, LandmarksAtPlace},
 };
 
-use super::Damage;
-use crate::record::{published, site as record_site, snapshot as record, tile, tile_model};
+use crate::{
+    failure::ReadFailure,
+    record::{published, site as record_site, snapshot as record, tile, tile_model},
+};
 
 /// A tree of rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,7 +109,7 @@ pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow
 }
 
 /// The rows of a tile's known cells and last values.
-pub(super) fn of_tile(map: u32, id: u32, live: &LiveTile) -> Result<Vec<IndexRow>, Damage> {
+pub(super) fn of_tile(map: u32, id: u32, live: &LiveTile) -> Result<Vec<IndexRow>, ReadFailure> {
     Ok(parts(Kind::Tiles, map, id, &tile::encode(live, false)?))
 }
 
@@ -143,8 +145,9 @@ pub(super) struct ItemRows {
 
 impl ItemRows {
     /// The message that the rows make up.
-    pub(super) fn message<M: Message + Default>(&self, kind: Kind) -> Result<M, Damage> {
-        M::decode(&self.bytes[..]).map_err(|_| format!("row {} of {} is not a message", self.number, kind.name()))
+    pub(super) fn message<M: Message + Default>(&self, kind: Kind) -> Result<M, ReadFailure> {
+        M::decode(&self.bytes[..])
+            .map_err(|_| format!("row {} of {} is not a message", self.number, kind.name()).into())
     }
 }
 
@@ -152,7 +155,7 @@ impl ItemRows {
 pub(super) fn items(
     kind: Kind,
     rows: impl Iterator<Item = sled::Result<(sled::IVec, sled::IVec)>>,
-) -> impl Iterator<Item = Result<ItemRows, Damage>> {
+) -> impl Iterator<Item = Result<ItemRows, ReadFailure>> {
     let mut rows = rows.peekable();
     std::iter::from_fn(move || {
         let mut item: Option<ItemRows> = None;
@@ -163,7 +166,7 @@ pub(super) fn items(
             });
             let (key, value) = match next {
                 None => return item.map(Ok),
-                Some(Err(error)) => return Some(Err(error.to_string())),
+                Some(Err(error)) => return Some(Err(error.into())),
                 Some(Ok(row)) => row,
             };
             let of_row = number(&key).and_then(|(number, part)| {
@@ -178,7 +181,7 @@ pub(super) fn items(
             };
             let item = item.get_or_insert_with(|| ItemRows { number, bytes: Vec::new(), sum: Sum::default() });
             if item.sum.records != u32::from(part) {
-                return Some(Err(format!("a part of row {number} of {} is missing", kind.name())));
+                return Some(Err(format!("a part of row {number} of {} is missing", kind.name()).into()));
             }
             item.bytes.extend_from_slice(payload);
             item.sum.add(&key, &value);
@@ -187,7 +190,7 @@ pub(super) fn items(
 }
 
 /// The number of an item, and of its part.
-fn number(key: &[u8]) -> Result<(u32, u16), Damage> {
+fn number(key: &[u8]) -> Result<(u32, u16), ReadFailure> {
     let (rest, part) = key.split_last_chunk::<2>().ok_or("a key is too short")?;
     let (_, item) = rest.split_last_chunk::<4>().filter(|(map, _)| map.len() == 4).ok_or("a key has another length")?;
     Ok((u32::from_be_bytes(*item), u16::from_be_bytes(*part)))

@@ -10,10 +10,13 @@ use tidemap_map::snapshot::MapSnapshot;
 use tidemap_migrations::v1::index::{GENERATIONS, GridMark, Mark, encode_value, map_key, part_key};
 
 use super::{
-    Damage, KnownRows, Trees,
+    KnownRows, Trees,
     rows::{self, IndexRow, Kind, Sum},
 };
-use crate::record::{landmark, snapshot as record, spec};
+use crate::{
+    failure::ReadFailure,
+    record::{landmark, snapshot as record, spec},
+};
 
 /// Rows in one batch of sled; larger batches hold its lock for too long.
 const BATCH_ROWS: usize = 32;
@@ -29,43 +32,43 @@ pub(super) struct RowBatch {
 }
 
 impl RowBatch {
-    pub(super) fn insert(&mut self, tree: &sled::Tree, key: &[u8], value: Vec<u8>) -> Result<(), Damage> {
+    pub(super) fn insert(&mut self, tree: &sled::Tree, key: &[u8], value: Vec<u8>) -> Result<(), ReadFailure> {
         self.rows += 1;
         self.bytes += key.len() + value.len();
         self.batch.insert(key, value);
         self.apply_if_full(tree)
     }
 
-    fn remove(&mut self, tree: &sled::Tree, key: &[u8]) -> Result<(), Damage> {
+    fn remove(&mut self, tree: &sled::Tree, key: &[u8]) -> Result<(), ReadFailure> {
         self.rows += 1;
         self.batch.remove(key);
         self.apply_if_full(tree)
     }
 
-    fn apply_if_full(&mut self, tree: &sled::Tree) -> Result<(), Damage> {
+    fn apply_if_full(&mut self, tree: &sled::Tree) -> Result<(), ReadFailure> {
         if self.rows >= BATCH_ROWS || self.bytes >= BATCH_BYTES { self.apply(tree) } else { Ok(()) }
     }
 
-    pub(super) fn apply(&mut self, tree: &sled::Tree) -> Result<(), Damage> {
+    pub(super) fn apply(&mut self, tree: &sled::Tree) -> Result<(), ReadFailure> {
         let full = std::mem::take(self);
-        if full.rows == 0 { Ok(()) } else { tree.apply_batch(full.batch).map_err(|error| error.to_string()) }
+        if full.rows == 0 { Ok(()) } else { Ok(tree.apply_batch(full.batch)?) }
     }
 }
 
-fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), Damage> {
+fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), ReadFailure> {
     let key = map_key(map);
     let value = encode_value(GENERATIONS, &key, &mark.encode_to_vec());
-    trees.generations.insert(key, value).map_err(|error| error.to_string())?;
+    trees.generations.insert(key, value)?;
     trees.flush()
 }
 
 /// Removes all rows of a map except the mark.
-fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
+fn clear(trees: &Trees, map: u32) -> Result<(), ReadFailure> {
     for kind in Kind::ALL {
         let tree = trees.of(kind);
         let mut collected = RowBatch::default();
         for key in tree.scan_prefix(map_key(map)).keys() {
-            collected.remove(tree, &key.map_err(|error| error.to_string())?)?;
+            collected.remove(tree, &key?)?;
         }
         collected.apply(tree)?;
     }
@@ -82,7 +85,7 @@ struct Writer<'trees> {
 
 impl Writer<'_> {
     /// Writes the rows of an item if they differ from those that are there.
-    fn write(&mut self, item: u32, rows: Vec<IndexRow>) -> Result<(), Damage> {
+    fn write(&mut self, item: u32, rows: Vec<IndexRow>) -> Result<(), ReadFailure> {
         let at = item as usize;
         if self.sums.len() <= at {
             self.sums.resize(at + 1, Sum::default());
@@ -103,7 +106,7 @@ impl Writer<'_> {
     }
 
     /// Removes the items from a number on.
-    fn clear_from(&mut self, first: u32) -> Result<(), Damage> {
+    fn clear_from(&mut self, first: u32) -> Result<(), ReadFailure> {
         for item in first..u32::try_from(self.sums.len()).unwrap_or(u32::MAX) {
             self.write(item, Vec::new())?;
         }
@@ -111,7 +114,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<Vec<Sum>, Damage> {
+    fn finish(mut self) -> Result<Vec<Sum>, ReadFailure> {
         self.collected.apply(self.tree)?;
         Ok(self.sums)
     }
@@ -123,7 +126,7 @@ pub(super) fn save(
     map: u32,
     snapshot: &MapSnapshot,
     before: Option<KnownRows>,
-) -> Result<KnownRows, Damage> {
+) -> Result<KnownRows, ReadFailure> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     let grid = snapshot.grid.as_ref();
     // States, producers and tiles are only added; after any other change all rows are written again.
@@ -171,7 +174,7 @@ pub(super) fn save(
                 ModelSlot::Resident(model) if std::ptr::eq(known.as_ptr(), Arc::as_ptr(model)) => continue,
                 // It has left memory after it was saved, here and in a checkpoint.
                 ModelSlot::Cold(_) if is_there => continue,
-                slot => slot.get().map_err(|error| error.to_string())?,
+                slot => slot.get().map_err(|error| ReadFailure::of_text(error.to_string()))?,
             };
             cells.write(id, rows::of_cells(map, id, &model))?;
             *known = Arc::downgrade(&model);
@@ -199,9 +202,9 @@ pub(super) fn save(
 }
 
 /// Removes everything of a map.
-pub(super) fn purge(trees: &Trees, map: u32) -> Result<(), Damage> {
+pub(super) fn purge(trees: &Trees, map: u32) -> Result<(), ReadFailure> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     clear(trees, map)?;
-    trees.generations.remove(map_key(map)).map_err(|error| error.to_string())?;
+    trees.generations.remove(map_key(map))?;
     trees.flush()
 }

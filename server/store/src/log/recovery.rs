@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 use tidemap_migrations::v1::{
     lists::{NEWEST_FILE, NewestSegment},
-    log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
+    log::{FRAME_HEADER_LENGTH, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };
 
 use crate::{
     disk::{Disk, read_all},
-    error::{OpenError, Report, open_io},
+    error::{OpenError, Repair, open_io},
     list_file::{self, Unlisted},
     log::{
         Progress,
@@ -28,7 +28,7 @@ pub(crate) struct Recovered {
     /// Behind the last record.
     pub(crate) cursor: Cursor,
     pub(crate) progress: Progress,
-    pub(crate) reports: Vec<Report>,
+    pub(crate) repairs: Vec<Repair>,
 }
 
 /// What the checkpoints and the index require of a log.
@@ -46,6 +46,15 @@ fn corrupt(file: &Path, offset: usize, position: u64, reason: impl Into<String>)
     OpenError::CorruptLog { file: file.to_owned(), offset: offset as u64, position, reason: reason.into() }
 }
 
+/// Bytes at the end of the newest segment that are no record.
+pub(crate) struct Torn {
+    pub(crate) file: PathBuf,
+    pub(crate) bytes: u64,
+    /// How many of the last ones are zero, if there are too many for a record that was cut off. What was there is not
+    /// known: a record that had been acknowledged looks the same as one that was never written.
+    pub(crate) zero_bytes: u64,
+}
+
 /// A log that has been read to its end, before anything is repaired.
 pub(crate) struct Read {
     /// First positions of the segments that were read, ascending; never empty.
@@ -57,23 +66,22 @@ pub(crate) struct Read {
     /// A segment that was just being created.
     unfinished: Option<PathBuf>,
     /// Bytes at the end of the newest segment that were not written whole.
-    torn: Option<(PathBuf, u64)>,
+    pub(crate) torn: Option<Torn>,
 }
 
-/// Reads the log from the segment that holds `replay_from`, cuts off a torn tail, and makes the rest durable.
-pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Result<Recovered, OpenError> {
-    let mut reports = Vec::new();
-    let read = read(disk, folder, expected)?;
+/// Cuts a torn tail off a log that was read, and makes the rest durable.
+pub(crate) fn repair(disk: &dyn Disk, folder: &Path, read: Read) -> Result<Recovered, OpenError> {
+    let mut repairs = Vec::new();
     let Read { segments, cursor, progress, listed, unfinished, torn } = read;
     let newest = segment_path(folder, segments.last().copied().unwrap_or(1));
     if let Some(file) = unfinished {
         disk.remove(&file).map_err(open_io(&file))?;
-        reports.push(Report::LeftoverRemoved { file });
+        repairs.push(Repair::LeftoverRemoved { file });
     }
     let mut file = disk.open(&newest).map_err(open_io(&newest))?;
-    if let Some((torn_file, bytes)) = torn {
+    if let Some(Torn { file: torn_file, bytes, zero_bytes }) = torn {
         file.truncate(cursor.offset as u64).map_err(open_io(&newest))?;
-        reports.push(Report::TornTail { file: torn_file, bytes });
+        repairs.push(Repair::TornTail { file: torn_file, bytes, zero_bytes });
     }
     // Records may be in the page cache only; they are about to be used, so they must be durable.
     file.sync().map_err(open_io(&newest))?;
@@ -83,7 +91,7 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
         let list = folder.join(NEWEST_FILE);
         list_file::replace(disk, &list, &NewestSegment { first_position }).map_err(open_io(&list))?;
     }
-    Ok(Recovered { segments, cursor, progress, reports })
+    Ok(Recovered { segments, cursor, progress, repairs })
 }
 
 /// Reads the log from the segment that holds `replay_from`, and changes nothing.
@@ -124,8 +132,9 @@ pub(crate) fn read(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Re
         here.offset = SEGMENT_HEADER_LENGTH;
         // A segment is created only when everything before it is durable.
         let may_be_torn = index + 1 == segments.len() && unfinished.is_none();
-        if let Some(bytes) = read_segment(&file, &bytes, &mut here, may_be_torn, expected.known, &mut progress)? {
-            torn = Some((file, bytes));
+        if let Some(torn_bytes) = read_segment(&file, &bytes, &mut here, may_be_torn, expected.known, &mut progress)? {
+            let zero_bytes = zero_bytes(bytes.get(here.offset..).unwrap_or_default());
+            torn = Some(Torn { file, bytes: torn_bytes, zero_bytes });
         }
         cursor = Some(here);
     }
@@ -137,6 +146,12 @@ pub(crate) fn read(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Re
     }
 
     Ok(Read { segments, cursor, progress, listed, unfinished, torn })
+}
+
+/// How many of the last bytes are zero; none where a record may end like that.
+fn zero_bytes(torn: &[u8]) -> u64 {
+    let zeros = torn.iter().rev().take_while(|&&byte| byte == 0).count();
+    if zeros == torn.len() || zeros >= FRAME_HEADER_LENGTH { zeros as u64 } else { 0 }
 }
 
 /// The newest segment, if its header is incomplete because it was just being created.

@@ -45,6 +45,10 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         Event::EditSite(edit) => Ok((FrameKind::EditSite, site::encode_edit(edit).encode_to_vec())),
         Event::Epoch(epoch) => Ok((FrameKind::Epoch, encode_epoch(epoch).encode_to_vec())),
         Event::UpdateDone(done) => Ok((FrameKind::UpdateDone, encode_update_done(done).encode_to_vec())),
+        Event::ForgetProducers(producers) => {
+            let message = v3::ForgetProducers { producers: producers.iter().map(|id| id.0).collect() };
+            Ok((FrameKind::ForgetProducers, message.encode_to_vec()))
+        }
     }
 }
 
@@ -81,6 +85,10 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
         FrameKind::UpdateDone => {
             let v3::UpdateDone { generation, digest, maths } = v3::UpdateDone::decode(payload).map_err(|_| GARBLED)?;
             Ok(Event::UpdateDone(UpdateDone { generation, digest: Digest(digest), maths }))
+        }
+        FrameKind::ForgetProducers => {
+            let v3::ForgetProducers { producers } = v3::ForgetProducers::decode(payload).map_err(|_| GARBLED)?;
+            Ok(Event::ForgetProducers(producers.into_iter().map(ProducerId).collect()))
         }
     }
 }

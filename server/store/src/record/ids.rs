@@ -46,13 +46,17 @@ pub(super) fn decode_producer_key(key: &v1::ProducerKey) -> Result<ProducerKey, 
 
 pub(super) fn encode_new_producer(new: &NewProducer) -> v1::NewProducer {
     let v1::ProducerKey { producer, label } = encode_producer_key(&new.key);
-    v1::NewProducer { producer, label, sensor: sensors::encode(new.sensor) }
+    v1::NewProducer { producer, label, sensor: sensors::encode(new.sensor), introduced_by: new.introduced_by.clone() }
 }
 
 pub(super) fn decode_new_producer(new: &v1::NewProducer) -> Result<NewProducer, Invalid> {
-    let v1::NewProducer { producer, label, sensor } = new;
+    let v1::NewProducer { producer, label, sensor, introduced_by } = new;
     let key = v1::ProducerKey { producer: producer.clone(), label: label.clone() };
-    Ok(NewProducer { key: decode_producer_key(&key)?, sensor: sensors::decode(sensor.as_ref())? })
+    Ok(NewProducer {
+        key: decode_producer_key(&key)?,
+        sensor: sensors::decode(sensor.as_ref())?,
+        introduced_by: introduced_by.clone(),
+    })
 }
 
 /// A stored name of a state; it may be an axis of a vector.

@@ -2,6 +2,8 @@
 //!
 //! Invariant: a state whose rows are readings has no message. Durations are those of a state that can be.
 
+use std::sync::Arc;
+
 use tidemap_map::{
     event::{Hold, Reporting, StateShape},
     ids::ProducerId,
@@ -63,6 +65,7 @@ pub(super) fn encode(model: &StateModel, newest: Option<NewestRow>) -> Option<v1
             producer: newest.producer.0,
             events_bits: newest.events.to_bits(),
         }),
+        waiting: learned.waiting.iter().copied().map(encode_row).collect(),
     })
 }
 
@@ -83,9 +86,15 @@ pub(super) fn decode(model: StateModel, message: Option<&v1::Rows>) -> Result<St
     let reporting = decode_reporting(rows.reporting.as_ref(), StateShape::Scalar(model.kind()))?;
     let newest = rows.newest_learned.map(decode_row);
     let open_events = rows.open_events_bits.map(f64::from_bits);
-    if newest.and_then(|(_, value)| value).into_iter().chain(open_events).any(|value| !value.is_finite()) {
+    let waiting: Arc<[Row]> = rows.waiting.iter().copied().map(decode_row).collect();
+    if !waiting.is_sorted_by_key(|(nanos, _)| *nanos) {
+        return Err("the rows of a state that wait are not in order of time");
+    }
+    let known = newest.iter().chain(waiting.iter()).filter_map(|(_, value)| *value);
+    if known.chain(open_events).any(|value| !value.is_finite()) {
         return Err("a row of a state has no number");
     }
     let v1::Rows { learned, first_nanos, next_nanos, .. } = *rows;
-    Ok(model.with_reporting(reporting, LearnedRows { rows: learned, first_nanos, next_nanos, newest, open_events }))
+    let learned = LearnedRows { rows: learned, first_nanos, next_nanos, newest, open_events, waiting };
+    Ok(model.with_reporting(reporting, learned))
 }

@@ -145,6 +145,8 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
         received_nanos: mark.received_nanos,
         has_scans: mark.has_scans,
         newest_nanos: mark.newest_nanos,
+        is_forgotten: mark.is_forgotten,
+        introduced_by: mark.introduced_by.clone(),
     }
 }
 
@@ -174,6 +176,8 @@ pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<Produ
         newest_nanos: message.newest_nanos,
         recent,
         has_scans: message.has_scans,
+        is_forgotten: message.is_forgotten,
+        introduced_by: message.introduced_by.clone(),
     })
 }
 

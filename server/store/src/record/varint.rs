@@ -2,48 +2,22 @@
 //!
 //! Invariant: reading never goes beyond the bytes given, and never panics.
 
+use prost::encoding::{decode_varint, encode_varint};
+
 use super::Invalid;
 
 pub(super) const CUT: Invalid = "a column is cut off";
 
 /// Appends a number.
 #[inline]
-pub(super) fn push_varint(out: &mut Vec<u8>, mut number: u64) {
-    while number >= 0x80 {
-        out.push(number as u8 | 0x80);
-        number >>= 7;
-    }
-    out.push(number as u8);
+pub(super) fn push_varint(out: &mut Vec<u8>, number: u64) {
+    encode_varint(number, out);
 }
 
 /// Reads a number from the front.
 #[inline]
 pub(super) fn take_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
-    // Most numbers are differences below 16,384.
-    match **bytes {
-        [one, ref rest @ ..] if one < 0x80 => {
-            *bytes = rest;
-            Ok(u64::from(one))
-        }
-        [low, high, ref rest @ ..] if high < 0x80 => {
-            *bytes = rest;
-            Ok(u64::from(low & 0x7F) | u64::from(high) << 7)
-        }
-        _ => take_long_varint(bytes),
-    }
-}
-
-fn take_long_varint(bytes: &mut &[u8]) -> Result<u64, Invalid> {
-    let mut number = 0_u64;
-    for shift in (0..64).step_by(7) {
-        let (&byte, rest) = bytes.split_first().ok_or(CUT)?;
-        *bytes = rest;
-        number |= u64::from(byte & 0x7F) << shift;
-        if byte < 0x80 {
-            return Ok(number);
-        }
-    }
-    Err("a number in a column is too long")
+    decode_varint(bytes).map_err(|_| "a column is cut off, or has a number that is too long")
 }
 
 /// Reads a number below 2^32 from the front.

@@ -13,7 +13,7 @@ use super::{
     make_directory,
 };
 use crate::{
-    EraseError, MapId, OpenError, Report, Store, StoreOptions,
+    EraseError, MapId, OpenError, Repair, Store, StoreOptions,
     committer::Committer,
     disk::Disk as _,
     index::Index,
@@ -47,7 +47,7 @@ fn started(disk: &SimulatedDisk, committer: &Arc<Committer>) -> Result<Store, Op
         is_new: false,
         index: Index::none(),
         committer: Arc::clone(committer),
-        reports: Vec::new(),
+        repairs: Vec::new(),
         lock: None,
     })
 }
@@ -162,7 +162,7 @@ fn with_faults(
             drop(started(&disk, &Arc::default()));
             let disk = if is_power_cut { disk.power_cut() } else { disk.kill() };
             let store = started(&disk, &Arc::default()).expect("starts");
-            completed += u64::from(store.reports().contains(&Report::ErasureCompleted { map: MAP }));
+            completed += u64::from(store.repairs().contains(&Repair::ErasureCompleted { map: MAP }));
             let now = is_erased(&store, spec, both);
             assert!(now || erased.is_err(), "call {call}: reported as erased");
             let names = disk.list(Path::new("/data/maps")).expect("listed");

@@ -82,7 +82,7 @@ impl Machine {
             is_new: false,
             index: Index::none(),
             committer: Arc::clone(&self.committer),
-            reports: Vec::new(),
+            repairs: Vec::new(),
             lock: None,
         })?;
         let found = store.maps();

@@ -22,7 +22,8 @@ use tidemap_migrations::{
 use crate::{
     MapId,
     disk::{Disk, read_all},
-    error::{OpenError, Report, StoreError, open_io, store_io},
+    error::{OpenError, Repair, StoreError, open_io, store_io},
+    failure::ReadFailure,
     folders, list_file,
     log::writer::create_log,
     record,
@@ -60,9 +61,9 @@ pub(crate) struct Catalogue {
 }
 
 /// Lists the maps, and removes leftovers of interrupted creations.
-pub(crate) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
+pub(crate) fn read(disk: &dyn Disk, directory: &Path, repairs: &mut Vec<Repair>) -> Result<Catalogue, OpenError> {
     let remove = |path: &Path| disk.remove_folder(path).map_err(open_io(path));
-    read_with(disk, directory, reports, &remove)
+    read_with(disk, directory, repairs, &remove)
 }
 
 /// Lists the maps, and those that cannot be used, and changes nothing.
@@ -73,7 +74,7 @@ pub(crate) fn look(disk: &dyn Disk, directory: &Path) -> Result<Catalogue, OpenE
 fn read_with(
     disk: &dyn Disk,
     directory: &Path,
-    reports: &mut Vec<Report>,
+    repairs: &mut Vec<Repair>,
     remove: &dyn Fn(&Path) -> Result<(), OpenError>,
 ) -> Result<Catalogue, OpenError> {
     let folder = folders::maps_folder(directory);
@@ -97,7 +98,7 @@ fn read_with(
         if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(folders::map_number) {
             // The creation never succeeded, so its number is free.
             remove(&path)?;
-            reports.push(Report::LeftoverRemoved { file: path });
+            repairs.push(Repair::LeftoverRemoved { file: path });
             catalogue.next = catalogue.next.max(map.0);
         } else if let Some(map) = name.strip_suffix(DELETED_SUFFIX).and_then(folders::map_number) {
             catalogue.deleted.insert(map);
@@ -106,12 +107,18 @@ fn read_with(
             match read_spec(disk, &path.join("MAP"), map) {
                 Ok(spec) => {
                     if list.is_some() && name_of(map).is_none() {
-                        reports.push(Report::MapListed { map });
+                        repairs.push(Repair::MapListed { map });
                     }
                     catalogue.maps.insert(map, spec);
                 }
-                Err(reason) => {
-                    let reason = format!("its file MAP cannot be used: {reason}. {RESTORE}");
+                Err(failure) => {
+                    if let Some(error) = failure.shortage() {
+                        return Err(open_io(path.join("MAP"))(error));
+                    }
+                    let reason = match failure {
+                        ReadFailure::Damaged(reason) => format!("its file MAP cannot be used: {reason}. {RESTORE}"),
+                        ReadFailure::Disk(reason) => format!("its file MAP cannot be read: {reason}. {LOOK_AT_DISK}"),
+                    };
                     catalogue.set_aside.insert(map, SetAside { id: map, name: name_of(map), reason });
                 }
             }
@@ -130,6 +137,8 @@ fn read_with(
     Ok(catalogue)
 }
 
+/// What to do about a map that the disk does not give.
+const LOOK_AT_DISK: &str = "It may be sound: check the disk and the permissions, and restart the daemon";
 /// What to do about a map that cannot be used.
 const RESTORE: &str = "Restore the folder of this map from a backup, or delete the map to continue without it";
 
@@ -177,17 +186,20 @@ pub(crate) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapS
     let mut maps = Vec::new();
     for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| folders::map_number(name)) {
         let file = folders::map_folder(directory, map).join("MAP");
-        let found = read_spec(disk, &file, map).map_err(|reason| OpenError::Damaged { file, reason })?;
+        let found = read_spec(disk, &file, map).map_err(|failure| match failure {
+            ReadFailure::Damaged(reason) => OpenError::Damaged { file, reason },
+            ReadFailure::Disk(reason) => OpenError::Io { file, source: std::io::Error::other(reason) },
+        })?;
         maps.push((map, found));
     }
     Ok(maps)
 }
 
-fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, String> {
+fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, ReadFailure> {
     let mut reader = RecordReader::open(disk, file, MAP_MAGIC, map.0)?;
     let message: v1::MapSpec = reader.record(RecordKind::Spec)?;
     reader.finish()?;
-    record::spec::decode(message)
+    Ok(record::spec::decode(message)?)
 }
 
 /// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
@@ -248,7 +260,7 @@ pub(crate) fn write_properties(
     match read_spec(disk, &file, map) {
         Ok(read) if read == *spec => Ok(()),
         Ok(_) => Err(StoreError::NotReadBack { file, reason: "the content differs".to_owned() }),
-        Err(reason) => Err(StoreError::NotReadBack { file, reason }),
+        Err(failure) => Err(StoreError::NotReadBack { file, reason: failure.into() }),
     }
 }
 

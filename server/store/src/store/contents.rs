@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing is repaired, and nothing is migrated. The directory is locked as long as the contents are held.
 
-use std::path::Path;
+use std::{io, path::Path};
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_migrations::{FORMAT, manifest};
@@ -12,6 +12,7 @@ use crate::{
     MapId,
     disk::RealDisk,
     error::OpenError,
+    failure::ReadFailure,
     index::{Index, RowsState, Unopened, is_present},
 };
 
@@ -60,7 +61,10 @@ impl IndexContents {
         let index = if is_present(&folder) { Index::inspect(folder.clone(), cache_bytes) } else { Ok(Index::none()) };
         let mut index = index.map_err(|unopened| match unopened {
             Unopened::InUse => OpenError::Locked { directory: directory.to_owned(), pid: None },
-            Unopened::Damaged(reason) => OpenError::Damaged { file: folder, reason },
+            Unopened::Failed(ReadFailure::Damaged(reason)) => OpenError::Damaged { file: folder, reason },
+            Unopened::Failed(ReadFailure::Disk(reason)) => {
+                OpenError::Io { file: folder, source: io::Error::other(reason) }
+            }
         })?;
         let mut maps = Vec::new();
         for (map, spec) in catalogue::list(&RealDisk, directory)? {
@@ -71,7 +75,7 @@ impl IndexContents {
                 }
                 Ok(RowsState::Nothing) => IndexedRows::Nothing,
                 Ok(RowsState::Unfinished) => IndexedRows::Unfinished,
-                Err(damage) => IndexedRows::Damaged(damage),
+                Err(failure) => IndexedRows::Damaged(failure.to_string()),
             };
             maps.push((map, spec, rows));
         }

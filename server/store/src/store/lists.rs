@@ -19,7 +19,7 @@ use crate::{
     MapId,
     checkpoint::Checkpoints,
     disk::Disk,
-    error::{OpenError, Report, open_io},
+    error::{OpenError, Repair, open_io},
     folders,
     history::History,
     list_file::{self, Unlisted},
@@ -69,7 +69,7 @@ pub(super) fn lost(
     disk: &Arc<dyn Disk>,
     directory: &Path,
     catalogue: &mut Catalogue,
-    reports: &mut Vec<Report>,
+    repairs: &mut Vec<Repair>,
 ) -> Result<BTreeMap<PathBuf, String>, OpenError> {
     let mut lost = BTreeMap::new();
     if let Some(problem) = &catalogue.lost_list {
@@ -93,7 +93,7 @@ pub(super) fn lost(
         };
         if is_history_whole(disk, directory, map, &spec) {
             history.make_list()?;
-            reports.push(Report::ListMade { file, reason: problem });
+            repairs.push(Repair::ListMade { file, reason: problem });
         } else {
             lost.insert(file.strip_prefix(directory).unwrap_or(&file).to_owned(), problem);
         }

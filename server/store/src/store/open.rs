@@ -19,10 +19,11 @@ use tidemap_migrations::{
 
 use super::{Lock, MapEntry, Maps, OpenStore, Store, catalogue, lists, map_copy};
 use crate::{
+    MapId,
     committer::Committer,
     disk::{Disk, RealDisk},
     erasure,
-    error::{OpenError, Report, open_io},
+    error::{OpenError, Repair, open_io},
     folders,
     index::{Index, IndexInUse, is_present},
     list_file,
@@ -39,7 +40,7 @@ pub(crate) struct Parts {
     pub(crate) is_new: bool,
     pub(crate) index: Index,
     pub(crate) committer: Arc<Committer>,
-    pub(crate) reports: Vec<Report>,
+    pub(crate) repairs: Vec<Repair>,
     /// `None` for a simulated disk.
     pub(crate) lock: Option<Arc<Lock>>,
 }
@@ -98,18 +99,18 @@ impl Store {
         // Whoever has it uses the folder, whatever became of the lock.
         let in_use = |IndexInUse| OpenError::Locked { directory: directory.to_owned(), pid: None };
         let (index, set_aside) = opened.map_err(in_use)?;
-        let mut reports = Vec::new();
+        let mut repairs = Vec::new();
         if let Some((folder, reason)) = set_aside {
-            reports.push(Report::IndexSetAside { folder, reason });
+            repairs.push(Repair::IndexSetAside { folder, reason });
         }
-        if !index.is_available() {
-            reports.push(Report::IndexUnavailable { reason: "it cannot be created".to_owned() });
+        if let Some(reason) = index.failure() {
+            repairs.push(Repair::IndexUnavailable { reason });
         }
         let committer = Arc::new(Committer::default());
         let directory = directory.to_owned();
         let store_id = manifest.store_id;
         let lock = Some(Arc::new(lock));
-        let parts = Parts { disk, directory, options, store_id, is_new, index, committer, reports, lock };
+        let parts = Parts { disk, directory, options, store_id, is_new, index, committer, repairs, lock };
         let store = Store::assemble(parts)?;
         store.start().map_err(open_io(&store.inner.directory))?;
         Ok(store)
@@ -117,7 +118,7 @@ impl Store {
 
     /// A store on any disk, without a thread yet.
     pub(crate) fn assemble(parts: Parts) -> Result<Store, OpenError> {
-        let Parts { disk, directory, options, store_id, is_new, mut index, committer, mut reports, lock } = parts;
+        let Parts { disk, directory, options, store_id, is_new, mut index, committer, mut repairs, lock } = parts;
         if let Some(lock) = &lock {
             committer.hold(lock);
         }
@@ -125,12 +126,12 @@ impl Store {
         // so they must be durable first.
         let maps_folder = folders::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
-        erasure::complete(&*disk, &directory, &mut index, &mut reports)?;
-        map_copy::complete(&*disk, &directory, &mut index, &mut reports)?;
-        let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
-        committer.watch.lost(lists::lost(&disk, &directory, &mut catalogue, &mut reports)?);
+        erasure::complete(&*disk, &directory, &mut index, &mut repairs)?;
+        map_copy::complete(&*disk, &directory, &mut index, &mut repairs)?;
+        let mut catalogue = catalogue::read(&*disk, &directory, &mut repairs)?;
+        committer.watch.lost(lists::lost(&disk, &directory, &mut catalogue, &mut repairs)?);
         let unfinished = catalogue.maps.iter().filter_map(|(&map, known)| {
-            let repeated = erasure::repeat(&disk, &directory, &options, &mut index, map, known, &mut reports);
+            let repeated = erasure::repeat(&disk, &directory, &options, &mut index, map, known, &mut repairs);
             repeated.err().map(|error| (map, error))
         });
         for (map, error) in unfinished.collect::<Vec<_>>() {
@@ -147,6 +148,10 @@ impl Store {
                 tracing::warn!(map = map.0, %error, "a deleted map still takes space; tried again at the next start");
             }
         }
+        index.purge_unknown(|map| {
+            catalogue.maps.contains_key(&MapId(map)) || catalogue.set_aside.contains_key(&MapId(map))
+        });
+        committer.watch.indexed(index.failure());
         let entries = catalogue.maps.into_iter().map(|(map, spec)| (map, MapEntry::new(spec))).collect();
         let inner = OpenStore {
             directory,
@@ -154,7 +159,7 @@ impl Store {
             options,
             store_id,
             is_new,
-            reports,
+            repairs,
             maps: Mutex::new(Maps { entries, set_aside: catalogue.set_aside, next: catalogue.next }),
             index: Mutex::new(index),
             committer,

@@ -9,17 +9,19 @@ use std::{
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
-use super::{MapEntry, OpenStore, OpenedMap, Source, Store};
+use super::{MapEntry, OpenStore, OpenedMap, Source, Store, index_repair::IndexState};
 use crate::{
     MapId,
-    checkpoint::{DamagedCheckpoint, Memory},
-    error::{OpenError, Report, open_io},
+    checkpoint::{Checkpoints, Memory, UnreadCheckpoint},
+    disk::Disk,
+    error::{OpenError, Repair, open_io},
+    failure::ReadFailure,
     folders,
     index::RowsState,
     list_file::{self, Unlisted},
     log::{
         Log,
-        recovery::{Expectation, Recovered, recover},
+        recovery::{Expectation, Read, Recovered, read, repair},
         replay::Replay,
         segment_path, segment_position,
         writer::LogWriter,
@@ -33,18 +35,104 @@ struct Newest {
     source: Source,
     /// The newest position that a checkpoint or the index has.
     known: u64,
-    damaged: Vec<DamagedCheckpoint>,
+    unread: Vec<UnreadCheckpoint>,
     index: IndexState,
 }
 
-/// The repair that the index needs.
-enum IndexState {
-    /// Nothing.
-    Good,
-    /// The map must be written again.
-    Stale(&'static str),
-    /// The index must be replaced as a whole.
-    Damaged(String),
+/// What is stored of a map, as a start reads it before anything is repaired.
+pub(crate) struct StoredMap {
+    newest: Newest,
+    /// The first event that is replayed.
+    replay_from: u64,
+    log: Read,
+}
+
+impl StoredMap {
+    /// The newest snapshot, with the segments of the log that are replayed, the first record that is, and the last one.
+    pub(crate) fn into_parts(self) -> (Option<MapSnapshot>, Vec<u64>, u64, u64) {
+        let end = self.log.cursor.position - 1;
+        (self.newest.snapshot, self.log.segments, self.replay_from, end)
+    }
+}
+
+/// Reads a map: its newest checkpoint that can be read, and its log. `rows` is what the index holds of it. A start and
+/// a check call this, so that they agree. Changes nothing.
+///
+/// # Errors
+/// The map cannot be opened.
+pub(crate) fn read_map(
+    checkpoints: &Checkpoints<'_>,
+    spec: &MapSpec,
+    memory: Memory,
+    rows: Result<RowsState, ReadFailure>,
+) -> Result<StoredMap, OpenError> {
+    let newest = newest_snapshot(checkpoints, spec, memory, rows)?;
+    let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
+    let folder = checkpoints.folder.with_file_name("log");
+    check_beginning(checkpoints.disk, &folder, &newest)?;
+    let expected = Expectation { map: checkpoints.map.0, replay_from, known: newest.known, is_listed: true };
+    let log = read(checkpoints.disk, &folder, &expected)?;
+    Ok(StoredMap { newest, replay_from, log })
+}
+
+/// The newest good checkpoint, and whether the index has its rows. Changes nothing.
+fn newest_snapshot(
+    checkpoints: &Checkpoints<'_>,
+    spec: &MapSpec,
+    memory: Memory,
+    rows: Result<RowsState, ReadFailure>,
+) -> Result<Newest, OpenError> {
+    let names = checkpoints.positions().map_err(|error| no_checkpoints(&checkpoints.folder, error))?;
+    let (snapshot, unread) = checkpoints.load(spec, memory).map_err(open_io(&checkpoints.folder))?;
+    let mut known = names.last().copied().unwrap_or(0);
+    if let Ok(RowsState::Whole { position, .. }) = &rows {
+        known = known.max(*position);
+    }
+    let index = IndexState::of(rows, snapshot.as_ref());
+    let source = if snapshot.is_some() { Source::Checkpoint } else { Source::Log };
+    Ok(Newest { snapshot, source, known, unread, index })
+}
+
+/// Why the folder of checkpoints cannot be listed.
+fn no_checkpoints(folder: &Path, error: std::io::Error) -> OpenError {
+    if error.kind() != std::io::ErrorKind::NotFound {
+        return open_io(folder)(error);
+    }
+    let reason = "it is missing, with the checkpoints of the map. If there is no backup, make an empty folder of this \
+                  name: the map is then made of its log, if that is whole from record 1 on"
+        .to_owned();
+    OpenError::Damaged { file: folder.to_owned(), reason }
+}
+
+/// Without a snapshot the log must start at its first record, because a deleted beginning exists only in
+/// checkpoints.
+fn check_beginning(disk: &dyn Disk, folder: &Path, newest: &Newest) -> Result<(), OpenError> {
+    if newest.snapshot.is_some() {
+        return Ok(());
+    }
+    let names = disk.list(folder).map_err(open_io(folder))?;
+    match names.iter().find_map(|name| segment_position(name)) {
+        Some(first) if first > 1 && !newest.unread.is_empty() => {
+            let file = folder.with_file_name("checkpoints");
+            let refused = newest.unread.iter().map(UnreadCheckpoint::failure).find_map(|failure| match failure {
+                ReadFailure::Disk(reason) => Some(reason.clone()),
+                ReadFailure::Damaged(_) => None,
+            });
+            if let Some(reason) = refused {
+                return Err(OpenError::Io { file, source: std::io::Error::other(reason) });
+            }
+            let reasons: Vec<String> = newest.unread.iter().map(|unread| unread.failure().to_string()).collect();
+            Err(OpenError::Damaged {
+                file,
+                reason: format!(
+                    "none of its files can be read ({}), and the log begins at record {first}, because what was \
+                     before is in them",
+                    reasons.join("; ")
+                ),
+            })
+        }
+        _ => Ok(()),
+    }
 }
 
 impl Store {
@@ -60,58 +148,40 @@ impl Store {
         if inner.maps().entries.get(&map).ok_or(OpenError::UnknownMap(map))?.log.is_some() {
             return Err(OpenError::AlreadyOpen(map));
         }
-        let newest = inner.newest_snapshot(map, spec)?;
-        let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
+        let rows = inner.index().check(map.0);
+        let memory =
+            Memory { tile_bytes: inner.options.tile_cache_bytes, spectrum_bytes: inner.options.spectrum_cache_bytes };
+        let StoredMap { newest, replay_from, log } = read_map(&inner.checkpoints(map), spec, memory, rows)?;
         let folder = folders::log_folder(&inner.directory, map);
-        inner.check_beginning(&folder, &newest)?;
-        let expected = Expectation { map: map.0, replay_from, known: newest.known, is_listed: true };
-        let recovered = recover(&*inner.disk, &folder, &expected)?;
-        let (log, replay, mut reports) = inner.open_log(map, &folder, replay_from, recovered)?;
+        let recovered = repair(&*inner.disk, &folder, log)?;
+        let (log, replay, mut repairs) = inner.open_log(map, &folder, replay_from, recovered)?;
 
         if let (Some(log), Some(snapshot)) = (inner.entry(map).and_then(|entry| entry.log), &newest.snapshot) {
             log.saved.store(snapshot.position, Ordering::Release);
         }
 
         let checkpoints = inner.checkpoints(map);
-        inner.miss_spares(map, &folder, &mut reports)?;
-        checkpoints.remove_leftovers(&mut reports)?;
-        inner.history(map).remove_leftovers(&mut reports)?;
-        for damaged in newest.damaged {
-            reports.push(checkpoints.set_aside(damaged)?);
+        inner.miss_spares(map, &folder, &mut repairs)?;
+        checkpoints.remove_leftovers(&mut repairs)?;
+        inner.history(map).remove_leftovers(&mut repairs)?;
+        for unread in newest.unread {
+            let repair = checkpoints.set_aside(unread)?;
+            if let Repair::CheckpointNotRead { file, reason } = &repair {
+                let within = file.strip_prefix(&inner.directory).unwrap_or(file).to_owned();
+                inner.committer.watch.damaged(within, Some(reason.clone()));
+            }
+            repairs.push(repair);
         }
-        inner.repair_index(map, newest.snapshot.as_ref(), newest.index, &mut reports);
+        inner.repair_index(map, newest.snapshot.as_ref(), newest.index, &mut repairs);
 
         let source = if newest.source == Source::Log && log.end() == 0 { Source::Empty } else { newest.source };
-        Ok(OpenedMap { log, snapshot: newest.snapshot, source, replay, reports })
+        Ok(OpenedMap { log, snapshot: newest.snapshot, source, replay, repairs })
     }
 }
 
 impl OpenStore {
-    /// Without a snapshot the log must start at its first record, because a deleted beginning exists only in
-    /// checkpoints.
-    fn check_beginning(&self, folder: &Path, newest: &Newest) -> Result<(), OpenError> {
-        if newest.snapshot.is_some() {
-            return Ok(());
-        }
-        let names = self.disk.list(folder).map_err(open_io(folder))?;
-        match names.iter().find_map(|name| segment_position(name)) {
-            Some(first) if first > 1 && !newest.damaged.is_empty() => {
-                let reasons: Vec<&str> = newest.damaged.iter().map(DamagedCheckpoint::reason).collect();
-                Err(OpenError::Damaged {
-                    file: folder.with_file_name("checkpoints"),
-                    reason: format!(
-                        "none of its files can be read ({}), and the log begins at record {first}, because what was \
-                         before is in them",
-                        reasons.join("; ")
-                    ),
-                })
-            }
-            _ => Ok(()),
-        }
-    }
-
     /// Tells what should exist beside what the map was opened from, and is missing. The next save lists it no longer.
-    fn miss_spares(&self, map: MapId, log: &Path, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+    fn miss_spares(&self, map: MapId, log: &Path, repairs: &mut Vec<Repair>) -> Result<(), OpenError> {
         let (checkpoints, file) = (self.checkpoints(map), self.checkpoints(map).list_path());
         let present = checkpoints.present(log).map_err(open_io(log))?;
         let listed = match checkpoints.listed().map_err(Unlisted::lost) {
@@ -119,7 +189,7 @@ impl OpenStore {
             // The map is whole, whatever else was listed: the newest checkpoint and the log after it are good.
             Err(Ok(reason)) => {
                 list_file::replace(&*self.disk, &file, &present).map_err(open_io(&file))?;
-                reports.push(Report::ListMade { file, reason });
+                repairs.push(Repair::ListMade { file, reason });
                 return Ok(());
             }
             Err(Err(error)) => return Err(open_io(file)(error)),
@@ -130,38 +200,9 @@ impl OpenStore {
         for file in missing.chain(first.map(|first| segment_path(log, first))) {
             let within = file.strip_prefix(&self.directory).unwrap_or(&file).to_owned();
             self.committer.watch.damaged(within, Some("it is missing".to_owned()));
-            reports.push(Report::SpareMissing { file });
+            repairs.push(Repair::SpareMissing { file });
         }
         Ok(())
-    }
-
-    /// The newest good checkpoint, and whether the index has its rows. Changes nothing.
-    fn newest_snapshot(&self, map: MapId, spec: &MapSpec) -> Result<Newest, OpenError> {
-        let checkpoints = self.checkpoints(map);
-        let names = checkpoints.positions().map_err(open_io(&checkpoints.folder))?;
-        let found = self.index().check(map.0);
-        let memory =
-            Memory { tile_bytes: self.options.tile_cache_bytes, spectrum_bytes: self.options.spectrum_cache_bytes };
-        let (snapshot, damaged) = checkpoints.load(spec, memory).map_err(open_io(&checkpoints.folder))?;
-        let mut known = names.last().copied().unwrap_or(0);
-        let index = match found {
-            Ok(RowsState::Nothing) if snapshot.is_none() => IndexState::Good,
-            Ok(RowsState::Nothing) => IndexState::Stale("it held nothing of this map"),
-            Ok(RowsState::Unfinished) => IndexState::Stale("it was being written when the process stopped"),
-            Ok(RowsState::Whole { position, generation }) => {
-                known = known.max(position);
-                match snapshot.as_ref().map(|snapshot| (snapshot.position, snapshot.generation)) {
-                    Some(newest) if newest == (position, generation) => IndexState::Good,
-                    Some((newest, _)) if newest > position => {
-                        IndexState::Stale("it is older than the newest checkpoint")
-                    }
-                    _ => IndexState::Stale("it is newer than the newest good checkpoint"),
-                }
-            }
-            Err(damage) => IndexState::Damaged(damage),
-        };
-        let source = if snapshot.is_some() { Source::Checkpoint } else { Source::Log };
-        Ok(Newest { snapshot, source, known, damaged, index })
     }
 
     fn open_log(
@@ -170,8 +211,8 @@ impl OpenStore {
         folder: &Path,
         replay_from: u64,
         recovered: Recovered,
-    ) -> Result<(MapLog, Replay, Vec<Report>), OpenError> {
-        let Recovered { segments, cursor, progress, reports } = recovered;
+    ) -> Result<(MapLog, Replay, Vec<Repair>), OpenError> {
+        let Recovered { segments, cursor, progress, repairs } = recovered;
         let newest = segments.last().copied().unwrap_or(1);
         let writer = LogWriter::open(&self.disk, folder.to_owned(), map.0, newest, cursor, self.options.segment_bytes)
             .map_err(open_io(folder))?;
@@ -182,35 +223,6 @@ impl OpenStore {
         entry.log = Some(Arc::clone(&log));
         drop(maps);
         let replay = Replay::new(Arc::clone(&self.disk), folder.to_owned(), segments, replay_from, end);
-        Ok((MapLog::new(log, Arc::clone(&self.committer)), replay, reports))
-    }
-
-    /// Updates the index to the snapshot in use. An error here only disables the index.
-    fn repair_index(&self, map: MapId, snapshot: Option<&MapSnapshot>, state: IndexState, reports: &mut Vec<Report>) {
-        let mut index = self.index();
-        let reason = match state {
-            IndexState::Good => return,
-            IndexState::Stale(reason) => reason.to_owned(),
-            IndexState::Damaged(damage) => {
-                match index.replace() {
-                    Ok(folder) => reports.push(Report::IndexSetAside { folder, reason: damage.clone() }),
-                    Err(reason) => reports.push(Report::IndexUnavailable { reason }),
-                }
-                damage
-            }
-        };
-        match snapshot {
-            Some(snapshot) if index.is_available() => {
-                index.save(map.0, snapshot);
-                reports.push(if index.is_available() {
-                    Report::IndexRebuilt { map, reason }
-                } else {
-                    Report::IndexUnavailable { reason: "it cannot be written".to_owned() }
-                });
-            }
-            // Rows of a generation that is no longer known.
-            None if index.is_available() => index.purge(map.0),
-            _ => {}
-        }
+        Ok((MapLog::new(log, Arc::clone(&self.committer)), replay, repairs))
     }
 }

@@ -56,7 +56,7 @@ impl Store {
         }
         let mut index = inner.index();
         index.save(map.0, snapshot);
-        inner.committer.watch.indexed(index.is_available());
+        inner.committer.watch.indexed(index.failure());
         drop(index);
         inner.forget(map, &entry, snapshot);
         inner.forget_missing(map);

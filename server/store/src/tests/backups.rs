@@ -59,10 +59,10 @@ fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
     let third = store.backup(&work.path().join("whole")).expect("backs up");
     assert!(third.copied_bytes > second.copied_bytes, "{second:?} {third:?}");
 
-    let report = restore(&backup, &restored, OTHER_ID).expect("restores");
-    assert_eq!(report.maps, 1);
+    let repair = restore(&backup, &restored, OTHER_ID).expect("restores");
+    assert_eq!(repair.maps, 1);
     let copy = Store::open(&restored, options()).expect("opens");
-    assert_eq!((copy.store_id(), copy.reports()), (OTHER_ID, &[][..]));
+    assert_eq!((copy.store_id(), copy.repairs()), (OTHER_ID, &[][..]));
     let opened = copy.open_map(MAP, &spec).expect("opens");
     assert_eq!((opened.log.end(), opened.snapshot), (30, Some(snapshot(&spec, 25, 3))));
     let events: Vec<_> = opened.replay.map(|entry| entry.expect("whole").0).collect();
@@ -97,8 +97,8 @@ fn a_backup_that_begins_with_the_files_of_another_leaves_that_as_it_is() {
     append_all(&log, 21..=40);
     store.save(MAP, &snapshot(&spec, 40, 3)).expect("saves");
     store.create_map(&super::example::spec("attic")).expect("creates");
-    let report = store.backup(&second).expect("backs up");
-    assert!(report.kept_files > 0 && report.copied_files > 0, "{report:?}");
+    let repair = store.backup(&second).expect("backs up");
+    assert!(repair.kept_files > 0 && repair.copied_files > 0, "{repair:?}");
     let after: Vec<(String, Vec<u8>)> =
         files(&first).into_iter().map(|file| (file.clone(), fs::read(file).expect("readable"))).collect();
     assert!(before == after, "the first backup changed");

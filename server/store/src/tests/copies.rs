@@ -9,7 +9,7 @@ use super::{
     example::{append, event, options},
     grid_example::{piece, snapshot, spec},
 };
-use crate::{CopyError, CopyPart, CopyTotal, MapId, Mode, OpenedMap, Report, Store, StoreOptions, check};
+use crate::{CopyError, CopyPart, CopyTotal, MapId, Mode, OpenedMap, Repair, Store, StoreOptions, check};
 
 const UID: u64 = 0x7EA;
 
@@ -121,7 +121,7 @@ fn a_map_that_is_replaced_is_set_aside_also_by_the_next_start() {
     fs::rename(maps.join("00000001"), maps.join("00000001.copied")).expect("renamed");
     fs::rename(maps.join("00000001.replaced-1"), maps.join("00000001")).expect("renamed");
     let store = Store::open(&to, options()).expect("opens");
-    assert!(store.reports().contains(&Report::CopyCompleted { map }), "{:?}", store.reports());
+    assert!(store.repairs().contains(&Repair::CopyCompleted { map }), "{:?}", store.repairs());
     assert_eq!(store.open_map(map, &spec).expect("opens").log.end(), 40);
     assert_eq!(names(&to), ["00000001", "00000001.replaced-1"]);
     // With the map goes what was set aside of it.
@@ -170,9 +170,9 @@ fn what_is_no_whole_copy_is_refused_and_leaves_nothing() {
     assert_eq!(names(&to).len(), 2);
     drop(store);
     // The interrupted copy still holds the store: only its folder is looked at.
-    let mut reports = Vec::new();
-    crate::store::catalogue::read(&crate::disk::RealDisk, &to, &mut reports).expect("read");
-    assert!(matches!(&reports[..], [Report::LeftoverRemoved { .. }]), "{reports:?}");
+    let mut repairs = Vec::new();
+    crate::store::catalogue::read(&crate::disk::RealDisk, &to, &mut repairs).expect("read");
+    assert!(matches!(&repairs[..], [Repair::LeftoverRemoved { .. }]), "{repairs:?}");
     assert_eq!(names(&to), ["00000001"]);
 }
 

@@ -8,7 +8,7 @@ use std::{
 use tidemap_migrations::v1::index::{GENERATIONS, Mark, PRODUCERS, STATES, encode_value, map_key, part_key};
 
 use super::example::{Example, fill, options, snapshot};
-use crate::{MapId, OpenedMap, Report, Source, Store};
+use crate::{MapId, OpenedMap, Repair, Source, Store};
 
 fn example(directory: &Path) -> Example {
     fill(directory, 23, &[5, 10, 15], 64 << 20)
@@ -27,15 +27,15 @@ fn remove_index(directory: &Path) {
 /// once more.
 fn check_repaired(example: &Example, directory: &Path) {
     let mut opened = example.check(directory).expect("opens");
-    if let [Report::IndexRebuilt { .. }] = opened.reports[..] {
+    if let [Repair::IndexRebuilt { .. }] = opened.repairs[..] {
         assert_eq!(opened.source, Source::Checkpoint);
         opened = example.check(directory).expect("opens");
     }
-    assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
+    assert_eq!((opened.source, opened.repairs), (Source::Checkpoint, vec![]));
 }
 
 fn set_aside(opened: &OpenedMap) -> usize {
-    opened.reports.iter().filter(|report| matches!(report, Report::CheckpointSetAside { .. })).count()
+    opened.repairs.iter().filter(|repair| matches!(repair, Repair::CheckpointSetAside { .. })).count()
 }
 
 #[test]
@@ -85,14 +85,14 @@ fn a_checkpoint_that_is_newer_than_the_index_wins() {
     fs::rename(&old, &index).expect("renamable");
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!((opened.source, opened.snapshot.as_ref()), (Source::Checkpoint, Some(&newest)));
-    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    assert!(matches!(opened.repairs[..], [Repair::IndexRebuilt { .. }]), "{:?}", opened.repairs);
     check_repaired(&example, directory.path());
 
     // Where that checkpoint is damaged, the one before it is used, and the index follows it.
     fs::write(checkpoint(directory.path(), 20), "nonsense").expect("writable");
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.snapshot.as_ref(), Some(&example.snapshots[2]));
-    assert!(opened.reports.iter().any(|report| matches!(report, Report::IndexRebuilt { .. })), "{:?}", opened.reports);
+    assert!(opened.repairs.iter().any(|repair| matches!(repair, Repair::IndexRebuilt { .. })), "{:?}", opened.repairs);
     check_repaired(&example, directory.path());
 }
 
@@ -103,7 +103,7 @@ fn an_interrupted_save_leaves_the_map_as_it_was() {
     let left = directory.path().join("maps/00000001/checkpoints/00000000000000000020.tmc.new");
     fs::write(&left, "half").expect("writable");
     let opened = example.check(directory.path()).expect("opens");
-    assert_eq!(opened.reports, [Report::LeftoverRemoved { file: left.clone() }]);
+    assert_eq!(opened.repairs, [Repair::LeftoverRemoved { file: left.clone() }]);
     assert!(!left.exists());
 }
 
@@ -125,8 +125,8 @@ fn an_index_that_is_no_database_is_set_aside() {
         fs::write(&file, vec![0x5A; length as usize]).expect("writable");
         let store = Store::open(directory.path(), options()).expect("opens");
         let aside = directory.path().join(format!("index.damaged-{number}"));
-        let reported = matches!(store.reports(), [Report::IndexSetAside { folder, .. }] if *folder == aside);
-        assert!(reported, "{:?}", store.reports());
+        let reported = matches!(store.repairs(), [Repair::IndexSetAside { folder, .. }] if *folder == aside);
+        assert!(reported, "{:?}", store.repairs());
         assert!(aside.exists());
         drop(store);
         let opened = example.check(directory.path()).expect("opens");
@@ -149,7 +149,7 @@ fn an_index_whose_records_are_gone_is_written_again() {
     fs::write(&file, vec![0x5A; length as usize]).expect("writable");
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.source, Source::Checkpoint);
-    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    assert!(matches!(opened.repairs[..], [Repair::IndexRebuilt { .. }]), "{:?}", opened.repairs);
     check_repaired(&example, directory.path());
 }
 
@@ -195,8 +195,8 @@ fn missing_stale_foreign_and_damaged_records_are_noticed() {
         });
         let opened = example.check(directory.path()).expect("opens");
         assert_eq!(opened.source, Source::Checkpoint, "{what}");
-        let reported = opened.reports.iter().any(|report| matches!(report, Report::IndexSetAside { .. }));
-        assert!(reported, "{what}: {:?}", opened.reports);
+        let reported = opened.repairs.iter().any(|repair| matches!(repair, Repair::IndexSetAside { .. }));
+        assert!(reported, "{what}: {:?}", opened.repairs);
         check_repaired(&example, directory.path());
     }
 }
@@ -214,7 +214,7 @@ fn a_save_into_the_index_that_was_cut_off_is_done_again() {
     });
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.source, Source::Checkpoint);
-    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    assert!(matches!(opened.repairs[..], [Repair::IndexRebuilt { .. }]), "{:?}", opened.repairs);
     check_repaired(&example, directory.path());
 }
 

@@ -138,6 +138,8 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
                 .map(|i| ContentMark { sequence: position * 10 + i, crc: i as u32 * 77 })
                 .collect(),
             has_scans: position % 3 == 2,
+            is_forgotten: position % 4 == 1,
+            introduced_by: if position % 2 == 1 { "token 1".to_owned() } else { String::new() },
         }],
         states,
         site,

@@ -96,7 +96,7 @@ fn format_1_is_read_as_it_always_was() {
     assert_eq!(format(), Some(1));
     let store = Store::open(directory.path(), options()).expect("opens");
     assert_eq!(format(), Some(FORMAT), "a step leads to the present");
-    assert_eq!((store.store_id(), store.reports(), store.trouble()), (super::example::STORE_ID, &[][..], vec![]));
+    assert_eq!((store.store_id(), store.repairs(), store.trouble()), (super::example::STORE_ID, &[][..], vec![]));
     assert_eq!(store.losses().expect("readable"), [loss()]);
     let maps: Vec<_> = golden().into_iter().map(|(id, golden)| (id, golden.spec)).collect();
     assert_eq!(store.maps(), maps);

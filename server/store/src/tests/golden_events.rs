@@ -211,6 +211,8 @@ fn snapshot() -> MapSnapshot {
             newest_nanos: 0,
             recent: vec![ContentMark { sequence: 12, crc: 0x9ABC_DEF0 }],
             has_scans: false,
+            is_forgotten: false,
+            introduced_by: String::new(),
         }],
         states: vec![
             state("Küche", model.expect("valid"), persistence),

@@ -110,6 +110,7 @@ fn events() -> Vec<Event> {
         new_producer: Some(NewProducer {
             key: ProducerKey::new("robot", "camera").expect("valid"),
             sensor: Some(SENSOR),
+            introduced_by: String::new(),
         }),
         span: SequenceSpan { last: 1, ..envelope.span },
         refused: Vec::new(),
@@ -322,6 +323,8 @@ fn snapshot() -> MapSnapshot {
                 newest_nanos: 0,
                 recent: Vec::new(),
                 has_scans: true,
+                is_forgotten: false,
+                introduced_by: String::new(),
             })
             .to_vec(),
         states: Vec::new(),

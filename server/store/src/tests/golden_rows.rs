@@ -36,6 +36,7 @@ fn known() -> StateSnapshot {
         next_nanos: 1_700_000_100_000_000_000,
         newest: Some((1_700_000_090_000_000_000, None)),
         open_events: Some(2.0),
+        waiting: Arc::default(),
     };
     let newest_row = NewestRow {
         nanos: 1_700_000_095_000_000_000,
@@ -52,12 +53,12 @@ fn known() -> StateSnapshot {
 fn rows_in_checkpoints_are_written_as_they_always_were_and_come_back() {
     let state = known();
     let message = encode_state(0, &state, state.model.accumulator().to_parts());
-    let bytes = State { rows: message.rows, ..State::default() };
+    let bytes = State { rows: message.rows.clone(), ..State::default() };
     assert_eq!(crc32c::crc32c(&bytes.encode_to_vec()), 0xBBF8_1179, "rows are written in another way");
     let again = decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint);
     assert_eq!(again, Ok(state));
-    let rows = message.rows.expect("rows");
-    let other = |reporting| State { rows: Some(Rows { reporting, ..rows }), ..message.clone() };
+    let rows = message.rows.clone().expect("rows");
+    let other = |reporting| State { rows: Some(Rows { reporting, ..rows.clone() }), ..message.clone() };
     for (kind, max_secs, step_secs) in [(1, 59, 60), (1, 60, 0), (3, 86_400, 60), (2, 86_400, 60)] {
         let wrong = other(Some(ReportingRecord { kind, max_secs, step_secs }));
         assert!(decode_state(0, &wrong, &spec().periodicities, SpectrumIn::Checkpoint).is_err(), "{kind} {max_secs}");
@@ -65,6 +66,24 @@ fn rows_in_checkpoints_are_written_as_they_always_were_and_come_back() {
     let infinite = Rows { open_events_bits: Some(f64::INFINITY.to_bits()), ..rows };
     let wrong = State { rows: Some(infinite), ..message };
     assert!(decode_state(0, &wrong, &spec().periodicities, SpectrumIn::Checkpoint).is_err());
+}
+
+#[test]
+fn rows_that_wait_come_back_in_order_of_time() {
+    let state = known();
+    let (reporting, learned) = (state.model.reporting(), state.model.learned_rows().expect("rows").clone());
+    let waiting = [(1_700_000_100_000_000_000, Some(0.0)), (1_700_000_160_000_000_000, None)];
+    let learned = LearnedRows { waiting: waiting.into(), ..learned };
+    let model = StateModel::clone(&state.model).with_reporting(reporting, learned);
+    let state = StateSnapshot { model: Arc::new(model), ..state };
+    let message = encode_state(0, &state, state.model.accumulator().to_parts());
+    assert_eq!(decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint), Ok(state));
+    let mut wrong = message.clone();
+    wrong.rows.as_mut().expect("rows").waiting.reverse();
+    assert!(decode_state(0, &wrong, &spec().periodicities, SpectrumIn::Checkpoint).is_err(), "not in order");
+    let mut wrong = message;
+    wrong.rows.as_mut().expect("rows").waiting[0].value_bits = Some(f64::NAN.to_bits());
+    assert!(decode_state(0, &wrong, &spec().periodicities, SpectrumIn::Checkpoint).is_err(), "no number");
 }
 
 #[test]

@@ -17,7 +17,7 @@ use super::{
     grid_example::{DAY_NANOS, snapshot, spec, sum},
     is_full,
 };
-use crate::{MapId, OpenedMap, Report, Source, Store, StoreError, StoreOptions};
+use crate::{MapId, OpenedMap, Repair, Source, Store, StoreError, StoreOptions};
 
 const MAP: MapId = MapId(1);
 
@@ -71,7 +71,7 @@ fn a_grid_comes_back_with_what_its_tiles_share() {
         let saved = snapshot(&spec, seed, 1 + seed as u32 % 7);
         fill(directory.path(), &spec, std::slice::from_ref(&saved));
         let (_store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
-        assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
+        assert_eq!((opened.source, opened.repairs), (Source::Checkpoint, vec![]));
         let found = opened.snapshot.expect("saved");
         assert_eq!(found, saved);
         assert_eq!(resident(grid_of(&found)), resident(grid_of(&saved)), "seed {seed}");
@@ -131,11 +131,11 @@ fn the_index_has_what_a_grid_publishes_and_is_built_again_where_it_is_lost() {
     fs::remove_dir_all(directory.path().join("index")).expect("removable");
     let (store, opened) = reopen(directory.path(), &spec, options(0, 2));
     assert_eq!((opened.source, opened.snapshot.as_ref()), (Source::Checkpoint, saved.last()));
-    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    assert!(matches!(opened.repairs[..], [Repair::IndexRebuilt { .. }]), "{:?}", opened.repairs);
     assert_eq!(store.published(MapId(1), &spec).as_ref(), Some(&newest), "from tiles that are not in memory");
     drop((store, opened));
     let (store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
-    assert_eq!(opened.reports, []);
+    assert_eq!(opened.repairs, []);
     // A tile of the generation before is not given out as one of this.
     let before = store.published(MapId(1), &spec).expect("whole");
     store.save(MapId(1), &snapshot(&spec, 20, 5)).expect("saves");
@@ -369,9 +369,9 @@ fn every_damaged_byte_of_a_checkpoint_is_noticed() {
     let (_store, opened) = reopen(directory.path(), &spec, options(0, 2));
     assert_eq!(opened.snapshot.as_ref(), Some(&saved[0]));
     // The index is of the damaged one.
-    let (aside, index) = (&opened.reports[0], &opened.reports[1..]);
-    assert!(matches!(aside, Report::CheckpointSetAside { .. }), "{:?}", opened.reports);
-    assert!(matches!(index, [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    let (aside, index) = (&opened.repairs[0], &opened.repairs[1..]);
+    assert!(matches!(aside, Repair::CheckpointSetAside { .. }), "{:?}", opened.repairs);
+    assert!(matches!(index, [Repair::IndexRebuilt { .. }]), "{:?}", opened.repairs);
 }
 
 #[test]

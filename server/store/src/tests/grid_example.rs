@@ -93,6 +93,7 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
                 sensor: random
                     .random_bool(0.5)
                     .then(|| ProducerSensor { hit: random.random_range(0.5..1.0), false_alarm: 0.25 }),
+                introduced_by: String::new(),
             }),
             incarnation: random.random(),
             span: SequenceSpan { first: number * 100, last: number * 100 + 60, content_crc: random.random() },

@@ -78,7 +78,7 @@ fn events() -> Vec<Event> {
 /// Applies an event; returns the result of an update.
 fn apply(map: &mut LiveMap, position: u64, event: &Event) -> Option<MapSnapshot> {
     let work = map.apply(position, event).expect("fits")?;
-    let result = work.run(&Default::default()).expect("runs");
+    let result = work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs");
     Some(map.finish_update(result))
 }
 
@@ -172,7 +172,7 @@ fn an_update_that_was_cut_off_is_run_again() {
                 }
             }
             let work = work.expect("repeated");
-            let snapshot = map.finish_update(work.run(&Default::default()).expect("runs"));
+            let snapshot = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs"));
             assert_eq!(snapshot.grid, expected.grid, "{tile_cache_bytes} bytes, start {start}");
         }
     }

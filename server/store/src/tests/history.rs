@@ -21,7 +21,7 @@ use super::{
     grid_example::{DAY_NANOS, piece, snapshot, spec},
     is_full,
 };
-use crate::{History, HistoryError, HistorySizes, MapId, Report, Store};
+use crate::{History, HistoryError, HistorySizes, MapId, Repair, Store};
 
 const MAP: MapId = MapId(1);
 
@@ -328,11 +328,11 @@ fn an_interrupted_save_of_history_leaves_nothing() {
     let left = directory.path().join("maps/00000001/history/00000000000000000009.grid.tmh.new");
     fs::write(&left, "half").expect("writable");
     let store = Store::open(directory.path(), options()).expect("opens");
-    let expected = Report::LeftoverRemoved { file: left.clone() };
+    let expected = Repair::LeftoverRemoved { file: left.clone() };
     store.history(MAP).expect("known").remove_leftovers(&mut Vec::new()).expect("removable");
     assert!(!left.exists());
     fs::write(&left, "half").expect("writable");
-    let mut reports = Vec::new();
-    store.history(MAP).expect("known").remove_leftovers(&mut reports).expect("removable");
-    assert_eq!(reports, [expected]);
+    let mut repairs = Vec::new();
+    store.history(MAP).expect("known").remove_leftovers(&mut repairs).expect("removable");
+    assert_eq!(repairs, [expected]);
 }

@@ -16,7 +16,7 @@ fn a_map_is_the_same_after_a_restart() {
     let example = fill(directory.path(), 23, &[5, 10, 15], 64 << 20);
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.source, Source::Checkpoint);
-    assert_eq!(opened.reports, []);
+    assert_eq!(opened.repairs, []);
     assert_eq!(opened.snapshot.as_ref(), example.snapshots.last());
 }
 

@@ -14,7 +14,7 @@ use super::{
     missing::with_history,
 };
 use crate::{
-    Finding, HistoryError, MapId, Mode, OpenError, Outcome, Report, Store, StoreError, StoreOptions, Trouble, check,
+    Finding, HistoryError, MapId, Mode, OpenError, Outcome, Repair, Store, StoreError, StoreOptions, Trouble, check,
     restore,
 };
 
@@ -69,9 +69,9 @@ fn lists_whose_files_prove_to_be_all_are_made_again_and_reported() {
         let found = findings(directory.path(), Mode::Look);
         assert!(found.len() == 2 && found.iter().all(|found| found.is_spare), "{found:?}");
         let store = Store::open(directory.path(), options()).expect("opens");
-        assert!(matches!(store.reports(), [Report::ListMade { .. }]), "{:?}", store.reports());
-        let reports = store.open_map(MAP, &spec).expect("opens").reports;
-        assert!(matches!(reports[..], [Report::ListMade { .. }]), "{reports:?}");
+        assert!(matches!(store.repairs(), [Repair::ListMade { .. }]), "{:?}", store.repairs());
+        let repairs = store.open_map(MAP, &spec).expect("opens").repairs;
+        assert!(matches!(repairs[..], [Repair::ListMade { .. }]), "{repairs:?}");
         assert_eq!(store.trouble(), []);
         drop(store);
         let after = [HISTORY, CHECKPOINTS].map(|list| fs::read(directory.path().join(list)).expect("there"));
@@ -222,8 +222,8 @@ fn a_missing_checkpoint_or_first_segment_is_told_until_it_is_needed_no_longer() 
         assert!(found.iter().any(|found| found.file == name && found.is_spare), "{what}: {found:?}");
 
         let store = Store::open(data, options()).expect("opens");
-        let reports = store.open_map(MAP, &example.spec).expect("opens").reports;
-        assert!(reports.contains(&Report::SpareMissing { file }), "{what}: {reports:?}");
+        let repairs = store.open_map(MAP, &example.spec).expect("opens").repairs;
+        assert!(repairs.contains(&Repair::SpareMissing { file }), "{what}: {repairs:?}");
         let is_reported = |store: &Store| {
             store.trouble().iter().any(|it| matches!(it, Trouble::Damaged { file, .. } if *file == name))
         };
@@ -293,7 +293,7 @@ fn a_sound_folder_is_sound_and_can_be_restored() {
     assert!(checked.files > 0);
     restore(&old, &restored, "ffffffffffffffffffffffffffffffff").expect("restores");
     let store = Store::open(&restored, options()).expect("opens");
-    assert_eq!((store.reports(), store.trouble()), (&[][..], vec![]));
+    assert_eq!((store.repairs(), store.trouble()), (&[][..], vec![]));
     for (map, spec) in store.maps() {
         store.open_map(map, &spec).expect("opens");
     }

@@ -191,3 +191,19 @@ fn a_folder_that_is_no_longer_ours_acknowledges_nothing() {
         }
     }
 }
+
+#[test]
+fn a_missing_folder_of_checkpoints_comes_with_advice_and_an_empty_one_is_enough() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let example = super::example::fill(directory.path(), 7, &[5], 64 << 20);
+    let folder = directory.path().join("maps/00000001/checkpoints");
+    fs::remove_dir_all(&folder).expect("removable");
+    fs::remove_dir_all(directory.path().join("index")).expect("removable");
+    let error = example.check(directory.path()).expect_err("refused").to_string();
+    for words in ["maps/00000001/checkpoints is damaged: it is missing", "backup", "make an empty folder"] {
+        assert!(error.contains(words), "{words:?} is not in {error}");
+    }
+    fs::create_dir(&folder).expect("a folder");
+    let opened = example.check(directory.path()).expect("opens");
+    assert_eq!((opened.source, opened.snapshot), (crate::Source::Log, None));
+}

@@ -70,6 +70,7 @@ fn observations() -> impl Strategy<Value = Event> {
                     new_producer: key.map(|(producer, label, sensor)| NewProducer {
                         key: ProducerKey::new(&producer, &label).expect("valid"),
                         sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
+                        introduced_by: if label.is_empty() { String::new() } else { "token 1".to_owned() },
                     }),
                     incarnation,
                     span: SequenceSpan { first, last: first.saturating_add(u64::from(length)), content_crc },

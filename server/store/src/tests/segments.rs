@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use super::example::{Example, append, event, fill, options, segment, snapshot, spec};
-use crate::{OpenError, Report, Source, Store, StoreOptions};
+use crate::{OpenError, Repair, Source, Store, StoreOptions};
 
 /// First positions of the segments.
 fn segments(directory: &Path) -> Vec<u64> {
@@ -32,7 +32,7 @@ fn segments_that_every_checkpoint_covers_are_deleted() {
     // The older of the two replays from record 18.
     assert!(left[0] > 1 && left[0] <= 18 && left[1] > 18, "{left:?}");
     let opened = example.check(directory.path()).expect("opens");
-    assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
+    assert_eq!((opened.source, opened.repairs), (Source::Checkpoint, vec![]));
     assert!(!segment(directory.path()).exists());
 }
 
@@ -81,7 +81,7 @@ fn a_damaged_checkpoint_is_replaced_by_the_one_before() {
     fs::write(&checkpoints(directory.path())[1], "nonsense").expect("writable");
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.snapshot.as_ref(), Some(&example.snapshots[0]));
-    assert!(opened.reports.iter().any(|report| matches!(report, Report::CheckpointSetAside { .. })));
+    assert!(opened.repairs.iter().any(|repair| matches!(repair, Repair::CheckpointSetAside { .. })));
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn expected(spec: &MapSpec, events: &[Event]) -> Vec<Option<MapSnapshot>> {
     let mut map = LiveMap::new(Arc::new(spec.clone()));
     let apply = |(position, event): (u64, &Event)| {
         let work = map.apply(position, event).expect("fits")?;
-        Some(map.finish_update(work.run(&Default::default()).expect("runs")))
+        Some(map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs")))
     };
     (1..).zip(events).map(apply).collect()
 }
@@ -122,7 +122,7 @@ fn sums_outside_of_memory_are_the_same_to_the_last_bit() {
             let mut run = |map: &mut LiveMap, position, event: &Event, may_save: bool| {
                 let Some(work) = map.apply(position, event).expect("fits") else { return };
                 let work = work.with_room(store.spectrum_room(id));
-                let snapshot = map.finish_update(work.run(&Default::default()).expect("runs"));
+                let snapshot = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs"));
                 assert_eq!(Some(&snapshot), expected[position as usize - 1].as_ref(), "seed {seed}");
                 assert!(in_memory(&snapshot) <= spectrum_cache_bytes);
                 generations += 1;
@@ -170,7 +170,7 @@ fn an_update_whose_sums_cannot_be_read_says_so_and_changes_nothing() {
     let (update, before) = events.split_last().expect("some");
     for (position, event) in (1..).zip(before) {
         if let Some(work) = map.apply(position, event).expect("fits") {
-            let snapshot = map.finish_update(work.run(&Default::default()).expect("runs"));
+            let snapshot = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("runs"));
             store.save(MapId(1), &snapshot).expect("saves");
         }
     }
@@ -182,7 +182,7 @@ fn an_update_whose_sums_cannot_be_read_says_so_and_changes_nothing() {
     }
     let before = map.publish();
     let work = map.apply(events.len() as u64, update).expect("fits").expect("an update");
-    let error = work.run(&Default::default()).expect_err("the sums are gone").to_string();
+    let error = work.run(&std::sync::atomic::AtomicU64::new(0)).expect_err("the sums are gone").to_string();
     assert!(error.starts_with("state \"door ") && error.contains("is damaged or not readable"), "{error}");
     assert_eq!(map.publish().generation(), before.generation());
 }

@@ -102,7 +102,7 @@ impl Writer {
         let sensor = (producer == 2).then_some(ProducerSensor { hit: 0.8, false_alarm: 0.1 });
         Envelope {
             producer: ProducerId(producer),
-            new_producer: (first == 1).then_some(NewProducer { key, sensor }),
+            new_producer: (first == 1).then_some(NewProducer { key, sensor, introduced_by: String::new() }),
             incarnation: 1,
             span: SequenceSpan { first, last: first + count - 1, content_crc: first as u32 },
             received_nanos,

@@ -3,7 +3,6 @@
 //! Invariant: a file is written only after the whole prediction has arrived; unknown cells stay unknown.
 
 use std::{
-    io::{self, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
     str::FromStr,
@@ -21,6 +20,7 @@ use tonic::Code;
 use super::place::{AxisRange, Rectangle, cells, corner_m};
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times::AskedTimesArgs, usage},
+    output,
     progress::status_line,
 };
 use tidemap_formats::{
@@ -214,7 +214,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     );
     match path {
         Some(path) => write((kind, path), &picture, &args, &caption)?,
-        None => io::stdout().write_all(grid_text::write(&picture, &caption)?.as_bytes())?,
+        None => output::print(&grid_text::write(&picture, &caption)?)?,
     }
     if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");

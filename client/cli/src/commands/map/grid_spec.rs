@@ -167,7 +167,7 @@ pub(crate) fn box_text(cells: &CellBox) -> String {
 }
 
 /// A retention: `none`, `forever` or a duration.
-pub(crate) fn retention(text: &str) -> Result<Retention, String> {
+pub fn retention(text: &str) -> Result<Retention, String> {
     match text {
         "none" => Ok(Retention::None),
         "forever" => Ok(Retention::Forever),

@@ -7,7 +7,7 @@ use std::{fs, path::Path};
 use tidemap_sim::{GridOffice, GridOfficeOptions};
 
 use super::{SEED, SampleFile, ZONE};
-use crate::commands::record_office;
+use crate::commands::office_scans::record_office;
 
 const DAYS: u32 = 14;
 const SCANS_PER_DAY: u32 = 96;

@@ -5,6 +5,7 @@ use tidemap_model::{Hold, Sample};
 use super::*;
 use crate::{ids::NewProducer, row_samples::AskedReadings};
 
+mod bounded;
 mod late;
 
 const MINUTE: i64 = 60_000_000_000;
@@ -44,7 +45,7 @@ impl Home {
         let key = ProducerKey::new("gateway", "").expect("valid");
         let envelope = Envelope {
             producer: ProducerId(0),
-            new_producer: (first == 1).then_some(NewProducer { key, sensor: None }),
+            new_producer: (first == 1).then_some(NewProducer { key, sensor: None, introduced_by: String::new() }),
             incarnation: 1,
             span: SequenceSpan { first, last: self.sequence, content_crc: 1 },
             received_nanos: newest + late,
@@ -155,7 +156,7 @@ fn the_rows_of_a_snapshot_go_on_where_they_were() {
     let key = ProducerKey::new("gateway", "").expect("valid");
     let envelope = Envelope {
         producer: ProducerId(0),
-        new_producer: Some(NewProducer { key, sensor: None }),
+        new_producer: Some(NewProducer { key, sensor: None, introduced_by: String::new() }),
         incarnation: 1,
         span: SequenceSpan { first: 1, last: 10, content_crc: 1 },
         received_nanos: MONDAY + 4 * DAY + 18 * HOUR,

@@ -48,7 +48,7 @@ fn scans(new_tiles: usize) -> InFlight {
         Scans { new_tiles: vec![TileIndex::default(); new_tiles], scans: Vec::new(), ..Scans::default() },
     );
     let permit = || Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().expect("free");
-    let _budget = Arc::new([permit(), permit()]);
+    let _budget = Arc::new(vec![permit(), permit()]);
     InFlight::Stream { session: SessionId(1), event, refused: Vec::new(), tiles_ahead: 0, _budget }
 }
 

@@ -21,7 +21,7 @@ impl Backlog {
 
 fn budget() -> BufferBudget {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-    [permit(), permit()]
+    vec![permit(), permit()]
 }
 
 const A: SessionId = SessionId(1);

@@ -34,7 +34,11 @@ fn clients_are_answered_when_their_changes_are_public() {
     let ((edit, mut edited), (reply, mut added)) = (edit("hall"), oneshot::channel());
     edits.edited.push(edit.reply);
     edits.added.push(reply);
+    let (reply, mut forgotten) = oneshot::channel();
+    edits.forgotten.push((2, reply));
+    assert!(matches!(forgotten.try_recv(), Err(TryRecvError::Empty)));
     assert!(matches!(edited.try_recv(), Err(TryRecvError::Empty)));
     edits.published();
     assert_eq!((edited.try_recv(), added.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+    assert_eq!(forgotten.try_recv(), Ok(Ok(2)));
 }

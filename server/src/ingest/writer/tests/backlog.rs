@@ -106,6 +106,7 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     let (events, _kept) = events::unbounded_channel();
     let key = ProducerKey::new("b", "").expect("valid");
     assert!(bare.handle.send(Command::Hello(Hello {
+        client: String::new(),
         key,
         incarnation: 0,
         probe: None,

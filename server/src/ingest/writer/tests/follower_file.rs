@@ -126,7 +126,7 @@ pub(super) async fn observe(replica: &Replica, round: u64) {
             ..ObservationBatch::default()
         };
         let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-        let data = StreamData::Observations(batch, [permit(), permit()]);
+        let data = StreamData::Observations(batch, vec![permit(), permit()]);
         assert!(replica.handle.send(Command::StreamData { session: robot.opened.session, data }));
     }
     loop {
@@ -163,7 +163,7 @@ pub(super) async fn prepare(replica: &Replica) {
     let name = StateName::new("activity").expect("valid");
     let labels = ["sleep", "eat"].map(|label| name.label(label).expect("valid")).to_vec();
     let state = DeclaredState { name, shape: StateShape::Categorical(2), labels, sensor: None, reporting: None };
-    assert!(replica.handle.send(Command::AddState(AddState { state, reply })));
+    assert!(replica.handle.send(Command::AddState(AddState { state, client: String::new(), reply })));
     assert_eq!(answer.await, Ok(Ok(())));
     let (reply, answer) = oneshot::channel();
     let edit = SiteEdit::Charger(Some([1.0, 2.0]));

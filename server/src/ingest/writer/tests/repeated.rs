@@ -1,7 +1,7 @@
 //! An update that was cut off: repeated beside the map, which is served from the generation before, with the same
 //! result.
 
-use std::{fs, sync::mpsc};
+use std::fs;
 
 use super::{
     training::{DAYS, copy, files, learn, model, observe, update},
@@ -11,11 +11,9 @@ use super::{
 /// After all observations.
 const NOW: i64 = NOON + 9 * 24 * HOUR;
 
-/// Keeps the only update thread busy until the result is dropped.
-fn keep_busy(context: &Context) -> mpsc::Sender<()> {
-    let (release, released) = mpsc::channel();
-    context.update_pool.spawn(move || _ = released.recv());
-    release
+/// Keeps the turn of updates until the result is dropped.
+fn keep_busy(context: &Context) -> crate::ingest::update_turns::UpdateTurn {
+    context.update_turns.begin()
 }
 
 /// A data folder after a kill during the map's last update: without its checkpoint and history.

@@ -7,7 +7,10 @@ use tidemap_map::event::{Epoch, Event};
 use tidemap_store::{AppendError, Done};
 
 use super::*;
-use crate::{catalog::restore_map, ingest::digests::DigestStatus};
+use crate::{
+    catalog::restore_map,
+    ingest::{digests::DigestStatus, update_turns::UpdateTurn},
+};
 
 /// The thread of a map whose log daemons share, on a store of its own.
 pub(super) struct Replica {
@@ -123,11 +126,9 @@ impl Replica {
     }
 }
 
-/// Keeps the only update thread busy until the result is dropped.
-pub(super) fn keep_busy(context: &Context) -> mpsc::Sender<()> {
-    let (release, released) = mpsc::channel();
-    context.update_pool.spawn(move || _ = released.recv());
-    release
+/// Keeps the turn of updates until the result is dropped.
+pub(super) fn keep_busy(context: &Context) -> UpdateTurn {
+    context.update_turns.begin()
 }
 
 /// Waits until the digest of a generation is compared.

@@ -53,7 +53,7 @@ fn observed(sequences: std::ops::RangeInclusive<u64>, time: i64) -> Event {
     let key = ProducerKey::new("r", "").expect("valid");
     let envelope = Envelope {
         producer: ProducerId(0),
-        new_producer: (first == 1).then_some(NewProducer { key, sensor: None }),
+        new_producer: (first == 1).then_some(NewProducer { key, sensor: None, introduced_by: String::new() }),
         incarnation: 1,
         span: SequenceSpan { first, last, content_crc: 1 },
         received_nanos: NOON,
@@ -71,7 +71,7 @@ fn add(handle: &MapHandle, name: &str) -> oneshot::Receiver<Result<(), AddStateE
     let (reply, answer) = oneshot::channel();
     let (name, shape) = (StateName::new(name).expect("valid"), StateKind::Count.into());
     let state = DeclaredState { name, shape, labels: Vec::new(), sensor: None, reporting: None };
-    assert!(handle.send(Command::AddState(AddState { state, reply })));
+    assert!(handle.send(Command::AddState(AddState { state, client: String::new(), reply })));
     answer
 }
 

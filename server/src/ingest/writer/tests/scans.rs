@@ -56,7 +56,7 @@ impl Scanner {
         self.intake.begin_sent_scans(message).expect("well formed");
         while let Some(batch) = self.intake.next_scans().expect("well formed") {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-            let budget = [permit(), permit()];
+            let budget = vec![permit(), permit()];
             self.robot.sent = batch.span.last;
             assert!(handle.send(Command::StreamData {
                 session: self.robot.opened.session,

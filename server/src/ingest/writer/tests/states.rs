@@ -8,13 +8,14 @@ use tidemap_map::{
 use tidemap_proto::convert::vectors::DeclaredState;
 
 use super::*;
-use crate::ingest::protocol::{AddState, AddStateError, NewName};
+use crate::ingest::protocol::{AddState, AddStateError, NewName, NoRoom};
 
 async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
     assert!(handle.send(Command::AddState(AddState {
         state: DeclaredState { name, shape: kind.into(), labels: Vec::new(), sensor: None, reporting: None },
+        client: String::new(),
         reply
     })));
     answer.await.expect("an answer")
@@ -27,6 +28,7 @@ async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<()
     let sensor = hit.map(|hit| StateSensor::new(hit, 0.05).expect("a sensor"));
     assert!(handle.send(Command::AddState(AddState {
         state: DeclaredState { name, shape: StateShape::default(), labels: Vec::new(), sensor, reporting: None },
+        client: String::new(),
         reply
     })));
     answer.await.expect("an answer")
@@ -52,7 +54,7 @@ async fn send(
         values: values.to_vec(),
         ..ObservationBatch::default()
     };
-    let budget = [permit(), permit()];
+    let budget = vec![permit(), permit()];
     assert!(
         handle
             .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })
@@ -85,7 +87,7 @@ async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
         for i in 1..10 {
             assert_eq!(add(&handle, &format!("s{i}"), StateKind::Count).await, Ok(()));
         }
-        assert_eq!(add(&handle, "s10", StateKind::Count).await, Err(AddStateError::TooMany { max: 10 }));
+        assert_eq!(add(&handle, "s10", StateKind::Count).await, Err(AddStateError::NoRoom(NoRoom::States { max: 10 })));
         assert_eq!(add(&handle, "s9", StateKind::Count).await, Ok(()), "it is there");
         bench.catalog.stop().await;
         bench.catalog.context().store.close();
@@ -189,7 +191,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
         ..ObservationBatch::default()
     };
     let before = handle.view().position();
-    let budget = [permit(), permit()];
+    let budget = vec![permit(), permit()];
     assert!(
         handle
             .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })

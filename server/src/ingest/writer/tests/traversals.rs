@@ -3,7 +3,7 @@
 use tidemap_map::{
     event::{SequenceSpan, StateKind},
     name::EdgeName,
-    sighting::PlaceReport,
+    report::Report,
     site::SiteEdit,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
     traversal::Traversal,
@@ -49,11 +49,13 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     robot.sent += traversals.len() as u64;
     let batch = ReportBatch {
         span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
-        reports: (first_sequence..).zip(traversals.into_iter().map(PlaceReport::Traversal)).collect(),
+        reports: (first_sequence..).zip(traversals.into_iter().map(Report::Traversal)).collect(),
         refused: Vec::new(),
     };
-    let command =
-        Command::StreamData { session: robot.opened.session, data: StreamData::Reports(batch, [permit(), permit()]) };
+    let command = Command::StreamData {
+        session: robot.opened.session,
+        data: StreamData::Reports(batch, vec![permit(), permit()]),
+    };
     assert!(handle.send(command));
 }
 

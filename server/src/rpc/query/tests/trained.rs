@@ -163,14 +163,8 @@ async fn a_model_has_its_limits() {
     bench.update().await;
     check_refused(bench.ask(ModelKind::Poisson, &[NOON]).await, Code::FailedPrecondition, &["poisson", "counts"]);
     let with = |readings| {
-        let limits = QueryLimits {
-            predictions: 10_000,
-            batch: 4096,
-            trained_models: 100,
-            training_readings: readings,
-            watches: 2,
-        };
-        Queries::new(bench.queries.catalog.clone(), limits)
+        let limits = QueryLimits { predictions: 10_000, batch: 4096, trained_models: 100, training_readings: readings };
+        Queries::new(bench.queries.catalog.clone(), limits, shares())
     };
     let (few, enough) = (with(99), with(100));
     bench.queries = few;

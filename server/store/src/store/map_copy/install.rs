@@ -25,7 +25,7 @@ use crate::{
     MapId, Store,
     checkpoint::Checkpoints,
     disk::{Disk, read_all},
-    error::{OpenError, Report, StoreError, open_io, store_io},
+    error::{OpenError, Repair, StoreError, open_io, store_io},
     folders,
     history::History,
     index::Index,
@@ -259,14 +259,14 @@ pub(crate) fn complete(
     disk: &dyn Disk,
     directory: &Path,
     index: &mut Index,
-    reports: &mut Vec<Report>,
+    repairs: &mut Vec<Repair>,
 ) -> Result<(), OpenError> {
     let maps = folders::maps_folder(directory);
     for name in disk.list(&maps).map_err(open_io(&maps))? {
         let Some(map) = name.strip_suffix(COPIED_SUFFIX).and_then(folders::map_number) else { continue };
         index.purge(map.0);
         put_in_place(disk, directory, map).map_err(|error| error.opening(&maps))?;
-        reports.push(Report::CopyCompleted { map });
+        repairs.push(Repair::CopyCompleted { map });
     }
     Ok(())
 }

@@ -2,11 +2,7 @@
 //!
 //! Invariant: all maps are of one region and of one size; nothing is drawn before all predictions have arrived.
 
-use std::{
-    io::{self, Write as _},
-    path::Path,
-    process::ExitCode,
-};
+use std::{path::Path, process::ExitCode};
 
 use tidemap_client::queries::GridQuery;
 use tidemap_formats::{CELLS_MAX, MapPicture, grid_text, png};
@@ -14,6 +10,7 @@ use tidemap_formats::{CELLS_MAX, MapPicture, grid_text, png};
 use super::{GridPredictArgs, PART, ScaleArg, heights_text, picture, predicted, put};
 use crate::{
     commands::{Session, files, usage},
+    output,
     progress::status_line,
 };
 
@@ -71,7 +68,7 @@ pub(super) async fn run(
             let scale = args.scale.and_then(|ScaleArg(scale)| scale);
             files::write(path, png::write_compared(&panels, scale, &caption)?)?;
         }
-        None => io::stdout().write_all(grid_text::write_compared(&panels, &caption)?.as_bytes())?,
+        None => output::print(&grid_text::write_compared(&panels, &caption)?)?,
     }
     if let [(before, first), (after, second)] = &panels[..] {
         status_line(&changed(first, second, [before, after]));

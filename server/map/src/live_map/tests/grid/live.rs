@@ -107,7 +107,11 @@ fn a_scan_of_another_sensor_changes_what_the_cells_before_it_count_as() {
         let key = ProducerKey::new(&format!("robot{producer}"), "").expect("valid");
         let envelope = Envelope {
             producer: ProducerId(1 - producer),
-            new_producer: is_first.then_some(NewProducer { key, sensor: (producer == 0).then_some(other) }),
+            new_producer: is_first.then_some(NewProducer {
+                key,
+                sensor: (producer == 0).then_some(other),
+                introduced_by: String::new(),
+            }),
             span: SequenceSpan { first: turn * 2 - 1, last: turn * 2, content_crc: 0 },
             received_nanos: times[1],
             ..envelope()
@@ -135,7 +139,8 @@ fn a_producer_that_cannot_have_its_sensor_is_refused() {
     let mut map = LiveMap::new(Arc::new(spec(&mut 1)));
     let sensor = Some(ProducerSensor { hit: 0.2, false_alarm: 0.3 });
     let key = ProducerKey::new("robot", "").expect("valid");
-    let envelope = Envelope { new_producer: Some(NewProducer { key, sensor }), ..envelope() };
+    let envelope =
+        Envelope { new_producer: Some(NewProducer { key, sensor, introduced_by: String::new() }), ..envelope() };
     let refused = map.apply(1, &Event::Scans(envelope, Scans::default())).expect_err("refused");
     assert!(refused.reason.contains("hit 0.2, false alarm 0.3"), "{refused}");
     assert_eq!((map.producers(), map.grid().map(|grid| grid.sensors().others())), (0, Some(0)));

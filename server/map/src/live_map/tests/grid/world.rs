@@ -229,7 +229,11 @@ impl World {
         let levels = noise.levels();
         let mut envelope = Envelope {
             producer: known.map_or(new_id, |(id, _)| id),
-            new_producer: known.is_none().then(|| NewProducer { key: stream.key.clone(), sensor }),
+            new_producer: known.is_none().then(|| NewProducer {
+                key: stream.key.clone(),
+                sensor,
+                introduced_by: String::new(),
+            }),
             incarnation: 1,
             span: SequenceSpan { first: first_sequence, last: first_sequence + seen.len() as u64 - 1, content_crc: 3 },
             received_nanos: self.now_nanos,

@@ -7,26 +7,28 @@ use super::*;
 use crate::{
     live_map::tests::training::Pieces,
     training::{ReadingsRequest, StateReadings},
-    update::LateRowsOutcome,
+    update::{LateRowsOutcome, UpdateResult},
 };
 
 const DOOR: StateId = StateId(0);
 
 /// A home with the history of its updates.
-struct KeptHome {
-    home: Home,
+pub(super) struct KeptHome {
+    pub(super) home: Home,
     known: Pieces,
+    /// Of the last update.
+    snapshot: Option<MapSnapshot>,
 }
 
 impl KeptHome {
-    fn new(kind: StateKind, reporting: Reporting, retention: Retention) -> KeptHome {
+    pub(super) fn new(kind: StateKind, reporting: Reporting, retention: Retention) -> KeptHome {
         let mut home = Home::new(kind, reporting);
         let spec = MapSpec { retention, ..MapSpec::clone(home.map.spec()) };
         home.map = LiveMap::new(Arc::new(spec));
         let name = StateName::new("door").expect("valid");
         let new = NewState { id: DOOR, name, shape: kind.into(), labels: Vec::new(), sensor: None, reporting };
         home.map.apply(1, &Event::AddState(new)).expect("fits");
-        KeptHome { home, known: Pieces::default() }
+        KeptHome { home, known: Pieces::default(), snapshot: None }
     }
 
     /// Learns what has arrived. Returns how many states were learned anew, and how many with single readings.
@@ -35,18 +37,48 @@ impl KeptHome {
         (outcome.learned_anew, outcome.not_kept + outcome.beyond_bound + outcome.unreadable)
     }
 
+    /// Learns what has arrived, as far as rows stand for no more readings than these. Returns up to where rows are
+    /// learned, if some wait.
+    pub(super) fn update_bounded(&mut self, until: i64, readings_max: u64) -> Option<i64> {
+        let source = Arc::new(self.known.clone());
+        let result = self.run(until, source, |work| work.with_readings_max(readings_max));
+        let to_nanos = result.rows_to_nanos();
+        self.finish(result);
+        to_nanos
+    }
+
+    /// The map as its checkpoint has it.
+    pub(super) fn restart(&mut self) {
+        let snapshot = self.snapshot.take().expect("an update");
+        self.home.map = LiveMap::restore(Arc::clone(self.home.map.spec()), snapshot);
+    }
+
     fn update_from(&mut self, until: i64, source: Arc<dyn StateReadings>) -> LateRowsOutcome {
-        let start = self.home.map.plan_update(Some(until), until, UpdateCause::Request);
-        self.home.position += 1;
-        let work = self.home.map.apply(self.home.position, &Event::UpdateStart(start)).expect("fits").expect("work");
-        let result = work.with_readings(source).run(&AtomicU64::new(0)).expect("in memory");
+        let result = self.run(until, source, |work| work);
         let outcome = result.late_rows_outcome().clone();
-        let snapshot = self.home.map.finish_update(result);
-        self.known.0.extend(snapshot.history);
+        self.finish(result);
         outcome
     }
 
-    fn model(&mut self) -> StateModel {
+    fn run(
+        &mut self,
+        until: i64,
+        source: Arc<dyn StateReadings>,
+        change: impl FnOnce(UpdateWork) -> UpdateWork,
+    ) -> UpdateResult {
+        let start = self.home.map.plan_update(Some(until), until, UpdateCause::Request);
+        self.home.position += 1;
+        let work = self.home.map.apply(self.home.position, &Event::UpdateStart(start)).expect("fits").expect("work");
+        change(work.with_readings(source)).run(&AtomicU64::new(0)).expect("in memory")
+    }
+
+    fn finish(&mut self, result: UpdateResult) {
+        let snapshot = self.home.map.finish_update(result);
+        self.known.0.extend(snapshot.history.iter().cloned());
+        self.snapshot = Some(snapshot);
+    }
+
+    pub(super) fn model(&mut self) -> StateModel {
         StateModel::clone(self.home.map.publish().model(DOOR))
     }
 }

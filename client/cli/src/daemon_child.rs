@@ -1,0 +1,24 @@
+//! What holds where a daemon runs this program, to import a recording that was sent to it.
+//!
+//! Invariant: the program ends when the daemon does, however that ends, and takes the processor only when others leave
+//! it.
+
+use std::env;
+
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal, setpriority_process};
+
+/// The number of the daemon's process, as the daemon tells it.
+const DAEMON: &str = "TIDEMAP_DAEMON";
+/// The lowest priority that the system has.
+const NICENESS: i32 = 19;
+
+/// Ties this process to the daemon that runs it, if one does. `false`: the daemon is gone already.
+pub(crate) fn follow_daemon() -> bool {
+    let Ok(daemon) = env::var(DAEMON) else { return true };
+    let daemon = daemon.parse().ok().and_then(Pid::from_raw);
+    // A system that has neither runs the import all the same.
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    let _ = setpriority_process(None, NICENESS);
+    // Looked at afterwards: a daemon that ended before sends no signal any more.
+    getppid() == daemon
+}

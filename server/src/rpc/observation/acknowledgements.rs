@@ -1,0 +1,50 @@
+//! Where the acknowledgements of a session go: to the client of a stream at once, or into the one reply of a request.
+//!
+//! Invariant: a refusal comes before or with the acknowledgement of its number.
+
+use tidemap_proto::v1::observe_response::Message as Down;
+
+use super::channel::{Replies, reply};
+use crate::{
+    ingest::protocol::RefusedObservation,
+    rpc::{acks::acks, status::RpcError},
+};
+
+/// Where the acknowledgements of a session go.
+pub(super) enum Acknowledgements<'a> {
+    /// To the client of a stream.
+    Stream(&'a Replies),
+    /// Into the reply of a request: what was refused.
+    Request(Vec<RefusedObservation>),
+}
+
+impl Acknowledgements<'_> {
+    /// Adds one: all up to `durable` is durable, after `before`, at a position in the log.
+    ///
+    /// # Errors
+    /// The client is gone, or does not read.
+    pub(super) async fn add(
+        &mut self,
+        (before, durable): (u64, u64),
+        refused: Vec<RefusedObservation>,
+        position: u64,
+    ) -> Result<(), RpcError> {
+        match self {
+            Self::Stream(replies) => {
+                for ack in acks((before, durable), refused, position) {
+                    reply(replies, Down::Ack(ack)).await?;
+                }
+            }
+            Self::Request(all) => all.extend(refused),
+        }
+        Ok(())
+    }
+
+    /// What was refused of a request.
+    pub(super) fn take_refused(&mut self) -> Vec<RefusedObservation> {
+        match self {
+            Self::Stream(_) => Vec::new(),
+            Self::Request(refused) => std::mem::take(refused),
+        }
+    }
+}
