@@ -19,8 +19,8 @@ pub struct Step {
     pub run: fn(&Path) -> io::Result<()>,
 }
 
-/// All steps, ascending. Formats 2 and 3 only add to those before, so that the steps to them have nothing to rewrite.
-pub const STEPS: &[Step] = &[Step { from: 1, run: |_| Ok(()) }, Step { from: 2, run: |_| Ok(()) }];
+/// All steps, ascending. There is one format so far.
+pub const STEPS: &[Step] = &[];
 
 /// What to do with a data directory.
 #[derive(Clone, Debug)]

@@ -14,13 +14,12 @@ use std::{
     sync::PoisonError,
 };
 
+use tidemap_layout::lists::{
+    CHECKPOINTS_FILE, ERASURES_FILE, HISTORY_FILE, LOSSES_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment, TextList as _,
+};
 use tidemap_migrations::{
     FORMAT, manifest,
     manifest::{Manifest, ManifestError},
-    v1::lists::{
-        CHECKPOINTS_FILE, ERASURES_FILE, HISTORY_FILE, LOSSES_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment,
-        TextList as _,
-    },
 };
 
 use crate::{

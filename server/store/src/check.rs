@@ -13,15 +13,15 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::{
-    FORMAT, manifest,
-    v1::lists::{
+use tidemap_layout::{
+    cluster::FORKS_FOLDER,
+    lists::{
         CheckpointList, ERASURES_FILE, FileList, HISTORY_FILE, Loss, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment,
         TextList,
     },
-    v3::FORKS_FOLDER,
 };
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_migrations::{FORMAT, manifest};
 
 use crate::{
     History, MapId,

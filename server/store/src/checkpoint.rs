@@ -10,14 +10,11 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_map::{site::Site, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::{
-    v1::{
-        file::{CHECKPOINT_MAGIC, FileHeader, RecordKind, Trailer},
-        map as v1, site as v1_site,
-    },
-    v2,
+use tidemap_layout::{
+    file::{CHECKPOINT_MAGIC, FileHeader, RecordKind, Trailer},
+    map as layout, site as layout_site,
 };
+use tidemap_map::{site::Site, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::PhasorSum;
 
 use crate::{
@@ -25,7 +22,7 @@ use crate::{
     disk::Disk,
     error::{OpenError, Repair, StoreError, open_io, store_io},
     failure::ReadFailure,
-    record::{landmark, site, snapshot as record},
+    record::{snapshot as record, tables},
     record_file::{RecordReader, RecordWriter},
 };
 
@@ -150,11 +147,8 @@ impl Checkpoints<'_> {
             let sums = state.model.accumulator().stored_parts()?;
             writer.record(RecordKind::State, &record::encode_state(id, state, sums))?;
         }
-        if let Some(site) = site::encode(&snapshot.site) {
-            writer.long(RecordKind::Site, &site.encode_to_vec())?;
-        }
-        for place in landmark::encode_places(snapshot.site.landmarks()) {
-            writer.long(RecordKind::Landmarks, &place.encode_to_vec())?;
+        for row in tables::rows(&snapshot.site) {
+            writer.long(RecordKind::TableRow, &row.encode_to_vec())?;
         }
         let shared = match &snapshot.grid {
             Some(grid) => grid_writer::write(&mut writer, grid, &spec.periodicities)?,
@@ -176,7 +170,7 @@ impl Checkpoints<'_> {
         let same = |is_same: bool| if is_same { Ok(()) } else { Err("the content differs".to_owned()) };
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         same(reader.header.position == snapshot.position)?;
-        same(reader.record::<v1::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
+        same(reader.record::<layout::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
         for (id, producer) in snapshot.producers.iter().enumerate() {
             same(record::decode_producer(id, &reader.record(RecordKind::Producer)?)? == *producer)?;
         }
@@ -214,7 +208,7 @@ impl Checkpoints<'_> {
 
     fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, ReadFailure> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
-        let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
+        let message: layout::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
             return Err("its position differs from its name".into());
         }
@@ -262,7 +256,7 @@ impl Checkpoints<'_> {
         }
         let replay_from = |&position: &u64| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
-            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
+            Some(reader.record::<layout::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
         };
         Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
@@ -271,7 +265,7 @@ impl Checkpoints<'_> {
     pub(crate) fn newest_generation(&self) -> Option<u64> {
         self.positions().ok()?.into_iter().rev().find_map(|position| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
-            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.generation)
+            Some(reader.record::<layout::Snapshot>(RecordKind::Snapshot).ok()?.generation)
         })
     }
 
@@ -340,17 +334,11 @@ impl Checkpoints<'_> {
 }
 
 /// The site of a checkpoint whose states have been read.
-fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site, ReadFailure> {
-    if !snapshot.has_site {
-        return Ok(Site::default());
-    }
+fn read_site(reader: &mut RecordReader, snapshot: &layout::Snapshot) -> Result<Site, ReadFailure> {
     let mut bytes = Vec::new();
-    let message: v1_site::Site = reader.long_message(RecordKind::Site, &mut bytes)?;
-    let site = site::decode(&message, snapshot.states as usize)?;
-    let place = |_| reader.long_message(RecordKind::Landmarks, &mut bytes);
-    let places =
-        (0..snapshot.landmark_places).map(place).collect::<Result<Vec<v2::LandmarksAtPlace>, ReadFailure>>()?;
-    Ok(landmark::decode_into(site, &places)?)
+    let rows = (0..snapshot.table_rows).map(|_| reader.long_message(RecordKind::TableRow, &mut bytes));
+    let rows = rows.collect::<Result<Vec<layout_site::TableRow>, ReadFailure>>()?;
+    Ok(tables::site(&rows, snapshot.states as usize)?)
 }
 
 /// Position of a checkpoint of that name; `None` for other files.

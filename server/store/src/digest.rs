@@ -14,10 +14,10 @@ use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{TileModel, TileSums, TileUnavailable},
 };
+use tidemap_layout::{file::RecordKind, grid as layout, map as layout_map};
 use tidemap_map::{event::Digest, snapshot::MapSnapshot};
-use tidemap_migrations::v1::{file::RecordKind, grid as v1, map as v1_map};
 
-use crate::record::{doubles, landmark, site, snapshot as record, spec, tile, tile_model, tile_set};
+use crate::record::{doubles, snapshot as record, spec, tables, tile, tile_model, tile_set};
 
 /// A part of the map cannot be read, or could not be saved either.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -48,7 +48,7 @@ impl From<TileUnavailable> for NoDigest {
 /// [`NoDigest`] where sums or tiles cannot be read from the disk, or the snapshot could not be saved.
 pub fn digest(snapshot: &MapSnapshot) -> Result<Digest, NoDigest> {
     let mut leaves = Leaves::default();
-    leaves.message(RecordKind::Snapshot, &v1_map::Snapshot { replay_from: 0, ..record::encode(snapshot) });
+    leaves.message(RecordKind::Snapshot, &layout_map::Snapshot { replay_from: 0, ..record::encode(snapshot) });
     for (id, producer) in (0..).zip(&snapshot.producers) {
         leaves.message(RecordKind::Producer, &record::encode_producer(id, producer));
     }
@@ -56,11 +56,8 @@ pub fn digest(snapshot: &MapSnapshot) -> Result<Digest, NoDigest> {
         let sums = state.model.accumulator().stored_parts()?;
         leaves.message(RecordKind::State, &record::encode_state(id, state, sums));
     }
-    if let Some(site) = site::encode(&snapshot.site) {
-        leaves.message(RecordKind::Site, &site);
-    }
-    for place in landmark::encode_places(snapshot.site.landmarks()) {
-        leaves.message(RecordKind::Landmarks, &place);
+    for row in tables::rows(&snapshot.site) {
+        leaves.message(RecordKind::TableRow, &row);
     }
     let of_grid = snapshot.grid.as_ref().map_or(Ok(0), of_grid)?;
     Ok(Digest(u64::from(leaves.root) << 32 | u64::from(of_grid)))
@@ -91,14 +88,14 @@ fn of_grid(grid: &GridSnapshot) -> Result<u32, NoDigest> {
     let mut last_seen = Vec::new();
     tile_set::push_set(&mut last_seen, &[], &grid.last_seen)?;
     let mut leaves = Leaves::default();
-    let head = v1::Grid {
+    let head = layout::Grid {
         tiles: count(grid.tiles.len())?,
         scans: grid.scans,
         cell_observations: grid.cell_observations,
         last_seen,
         shown: spec::encode_shown(&grid.shown),
         // What waits for a later update.
-        ..v1::Grid::default()
+        ..layout::Grid::default()
     };
     leaves.message(RecordKind::Grid, &head);
     for (index, live) in grid.tiles.iter().enumerate() {

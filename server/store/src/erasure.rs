@@ -23,10 +23,10 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::v1::lists::{
+use tidemap_layout::lists::{
     CheckpointList, ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE,
 };
+use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
 
 use crate::{
     MapId,

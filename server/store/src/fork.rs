@@ -10,14 +10,12 @@ use std::{
     sync::{Arc, PoisonError},
 };
 
-use tidemap_map::event::Event;
-use tidemap_migrations::{
-    v1::{
-        lists::{NEWEST_FILE, NewestSegment},
-        log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
-    },
-    v3::FORKS_FOLDER,
+use tidemap_layout::{
+    cluster::FORKS_FOLDER,
+    lists::{NEWEST_FILE, NewestSegment},
+    log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
 };
+use tidemap_map::event::Event;
 
 use crate::{
     MapId, Store,

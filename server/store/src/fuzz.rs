@@ -12,15 +12,15 @@ use std::{
 
 use prost::Message as _;
 use tidemap_grid::spec::GridSpec;
-use tidemap_map::{ids::StateId, name::MapName, spec::MapSpec, training::ReadingsRequest};
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{CHECKPOINT_MAGIC, FileHeader, HISTORY_MAGIC, RecordKind},
-    grid as v1_grid,
+    grid as layout_grid,
     index::StateRow,
     lists::{CheckpointList, ErasureCount, ErasureOrder, FileList, LossList, MapList, NewestSegment, TextList},
     log::{FIRST_CHAIN, FrameHeader, FrameKind, SegmentHeader, guard},
-    map as v1, site as v1_site,
+    map as layout, site as layout_site,
 };
+use tidemap_map::{ids::StateId, name::MapName, spec::MapSpec, training::ReadingsRequest};
 use tidemap_model::Periodicities;
 
 use crate::{
@@ -30,7 +30,7 @@ use crate::{
     history::History,
     list_file,
     log::{recovery, replay::Replay, segment_path},
-    record::{published, site, snapshot, spec, tile, tile_model},
+    record::{published, snapshot, spec, tables, tile, tile_model},
     record_file::RecordWriter,
 };
 
@@ -278,11 +278,11 @@ pub fn row(bytes: &[u8]) {
     let periodicities = &map.periodicities;
     match first & 7 {
         0 => drop(StateRow::decode(rest).map(|row| published::decode(0, row, periodicities))),
-        1 => drop(v1::Producer::decode(rest).map(|message| snapshot::decode_producer(0, &message))),
-        2 => drop(v1_site::Site::decode(rest).map(|message| site::decode(&message, 3))),
-        3 => drop(v1_grid::Tile::decode(rest).map(|message| tile::decode(&message))),
-        4 => drop(v1_grid::TileModel::decode(rest).map(|message| tile_model::decode(&message, periodicities))),
-        _ => drop(v1::MapSpec::decode(rest).map(spec::decode)),
+        1 => drop(layout::Producer::decode(rest).map(|message| snapshot::decode_producer(0, &message))),
+        2 => drop(layout_site::TableRow::decode(rest).map(|row| tables::site(&[row], 3))),
+        3 => drop(layout_grid::Tile::decode(rest).map(|message| tile::decode(&message))),
+        4 => drop(layout_grid::TileModel::decode(rest).map(|message| tile_model::decode(&message, periodicities))),
+        _ => drop(layout::MapSpec::decode(rest).map(spec::decode)),
     }
 }
 

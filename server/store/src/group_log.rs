@@ -9,8 +9,8 @@ use std::{
     sync::{Arc, PoisonError, atomic::Ordering},
 };
 
+use tidemap_layout::log::FIRST_CHAIN;
 use tidemap_map::event::Event;
-use tidemap_migrations::v1::log::FIRST_CHAIN;
 
 use crate::{
     MapId, Store,

@@ -11,8 +11,8 @@ use std::{
 };
 
 use tidemap_grid::{index::TileId, spec::Retention};
+use tidemap_layout::lists::ListedFile;
 use tidemap_map::{history::HistoryPiece, ids::StateId, spec::MapSpec};
-use tidemap_migrations::v1::lists::ListedFile;
 use tidemap_model::{Sample, StopSignal};
 
 use crate::{

@@ -14,8 +14,8 @@ use std::{
 };
 
 use tidemap_grid::tile::TileModel;
+use tidemap_layout::index::{GENERATIONS, Total};
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::v1::index::{GENERATIONS, Total};
 
 mod cells;
 mod folder;
@@ -122,11 +122,7 @@ impl KnownRows {
     }
 
     fn totals(&self) -> Vec<Total> {
-        let mut totals: Vec<Total> = self.items.iter().map(|sums| rows::total(sums)).collect();
-        while totals.len() > Kind::ALWAYS && totals.last() == Some(&Total::default()) {
-            totals.pop();
-        }
-        totals
+        self.items.iter().map(|sums| rows::total(sums)).collect()
     }
 }
 
@@ -169,9 +165,9 @@ impl Trees {
             let db = open_unlocked(&config, lock_tries)
                 .map_err(|error| if is_in_use(&error) { Unopened::InUse } else { error.into() })?;
             let tree = |kind: Kind| db.open_tree(kind.name());
-            let [states, tiles, cells, sites, producers, landmarks] = Kind::ALL.map(tree);
+            let [states, tiles, cells, tables, producers] = Kind::ALL.map(tree);
             Ok(Trees {
-                rows: [states?, tiles?, cells?, sites?, producers?, landmarks?],
+                rows: [states?, tiles?, cells?, tables?, producers?],
                 generations: db.open_tree(GENERATIONS)?,
                 folder: folder.to_owned(),
                 db,
@@ -465,6 +461,7 @@ pub(crate) mod tests_only {
     use tidemap_map::snapshot::MapSnapshot;
 
     use super::rows;
+    use crate::record::tables;
 
     /// CRC-32C over all keys and values of what a snapshot publishes.
     pub(crate) fn rows_checksum(map: u32, snapshot: &MapSnapshot) -> u32 {
@@ -475,7 +472,8 @@ pub(crate) mod tests_only {
         let tiles = tiles.flat_map(|(id, tile)| rows::of_tile(map, id, tile).expect("valid"));
         let cells = grid.flat_map(|grid| (0..).zip(&grid.models));
         let cells = cells.flat_map(|(id, model)| rows::of_cells(map, id, &model.get().expect("readable")));
-        let rows = states.chain(producers).chain(rows::of_site(map, &snapshot.site)).chain(tiles).chain(cells);
+        let tables = (0..).zip(tables::rows(&snapshot.site)).flat_map(|(id, row)| rows::of_table_row(map, id, &row));
+        let rows = states.chain(producers).chain(tables).chain(tiles).chain(cells);
         rows.fold(0, |crc, row| crc32c::crc32c_append(crc32c::crc32c_append(crc, &row.key), &row.value))
     }
 }

@@ -64,7 +64,8 @@ pub use record::spec::{decode_spec, encode_spec};
 pub use scrub::Pace;
 pub use store::map_copy::{COPY_PART_BYTES, CopyError, CopyPart, CopySource, CopyTotal, MapCopy};
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store};
-pub use tidemap_migrations::{FORMAT as DISK_FORMAT, manifest::is_store_id, v1::lists::Loss};
+pub use tidemap_layout::lists::Loss;
+pub use tidemap_migrations::{FORMAT as DISK_FORMAT, manifest::is_store_id};
 pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.

@@ -5,7 +5,7 @@
 
 use std::{io, path::Path};
 
-use tidemap_migrations::v1::lists::TextList;
+use tidemap_layout::lists::TextList;
 
 use crate::{
     disk::{Disk, read_all},

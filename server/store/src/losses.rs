@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use tidemap_migrations::v1::lists::{LOSSES_FILE, Loss, LossList};
+use tidemap_layout::lists::{LOSSES_FILE, Loss, LossList};
 
 use crate::{
     disk::Disk,

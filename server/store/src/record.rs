@@ -14,7 +14,6 @@ mod ensemble;
 pub(crate) mod event;
 pub(crate) mod history;
 mod ids;
-pub(crate) mod landmark;
 mod numbers;
 mod observation_runs;
 mod offsets;
@@ -23,17 +22,14 @@ mod rows;
 mod runs;
 pub(crate) mod scans;
 mod sensors;
-pub(crate) mod site;
 pub(crate) mod snapshot;
 pub(crate) mod spec;
 mod surprises;
-mod task;
+pub(crate) mod tables;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
-mod topology;
 mod trained;
-mod traversal;
 mod varint;
 
 /// Why a record cannot be written, or is invalid.

@@ -9,7 +9,7 @@ use std::{
 };
 
 use prost::Message;
-use tidemap_migrations::v1::file::{
+use tidemap_layout::file::{
     FILE_HEADER_LENGTH, FileHeader, PIECE_MAX, RECORD_HEADER_LENGTH, RECORD_MAX, RecordHeader, RecordKind,
     TRAILER_LENGTH, Trailer,
 };

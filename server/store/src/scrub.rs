@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     lists::{MAPS_FILE, MapList, NEWEST_FILE, NewestSegment},
     log::{FRAME_HEADER_LENGTH, FrameHeader, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };

@@ -10,8 +10,8 @@ use std::{
     thread::JoinHandle,
 };
 
+use tidemap_layout::lists::{Loss, MAPS_FILE};
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
-use tidemap_migrations::v1::lists::{Loss, MAPS_FILE};
 
 use crate::{
     MapId,

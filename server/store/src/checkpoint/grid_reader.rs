@@ -11,7 +11,7 @@ use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
 };
-use tidemap_migrations::v1::{file::RecordKind, grid as v1};
+use tidemap_layout::{file::RecordKind, grid as layout};
 use tidemap_model::{Periodicities, PhasorSum};
 
 use super::tiles::{CheckpointTiles, TileOffset, TileOffsets};
@@ -86,7 +86,7 @@ pub(super) fn read(
     keep: Keep,
 ) -> Result<ReadGrid, ReadFailure> {
     let mut buffer = Vec::new();
-    let head: v1::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
+    let head: layout::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
     if head.models > head.tiles {
         return Err("there are more models than tiles".into());
     }
@@ -142,7 +142,7 @@ pub(super) fn read(
         }
     }
     for _ in 0..head.ahead {
-        let message: v1::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
+        let message: layout::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
         let scan = day::decode_ahead(&message, head.tiles)?;
         if keeps {
             grid.future.push(scan);
@@ -165,7 +165,7 @@ impl TileReader<'_> {
                 self.shared.push(Arc::new(sum));
             }
         }
-        let message: v1::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
+        let message: layout::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
         let live = tile::decode(&message)?;
         if !message.has_model {
             self.offsets.tiles.push(TileOffset::default());
@@ -175,7 +175,7 @@ impl TileReader<'_> {
             return Err("a tile has a model where there should be none".into());
         }
         let model_offset = self.reader.offset();
-        let model: v1::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
+        let model: layout::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
         let model = tile_model::decode(&model, self.periodicities)?;
         self.offsets.tiles.push(TileOffset { model: model_offset, sums: self.reader.offset() });
         self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
@@ -202,11 +202,11 @@ fn read_day(
     limit: u32,
     buffer: &mut Vec<u8>,
 ) -> Result<tidemap_grid::day::GridDay, ReadFailure> {
-    let head: v1::Day = reader.long_message(RecordKind::Day, buffer)?;
+    let head: layout::Day = reader.long_message(RecordKind::Day, buffer)?;
     let mut kept = day::decode(&head, limit, |_| true)?;
     let mut next = 0;
     for _ in 0..head.tiles {
-        let message: v1::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
+        let message: layout::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
         if !(next..head.tiles_end).contains(&message.tile) {
             return Err("the tiles of a day are out of order".into());
         }

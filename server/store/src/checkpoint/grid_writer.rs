@@ -14,7 +14,7 @@ use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{ModelSlot, SumsSlot, TileModel, TileSums, TileUnavailable},
 };
-use tidemap_migrations::v1::{file::RecordKind, grid as v1};
+use tidemap_layout::{file::RecordKind, grid as layout};
 use tidemap_model::{Periodicities, PhasorSum};
 
 use super::tiles::CheckpointTiles;
@@ -72,7 +72,7 @@ pub(super) fn write(
     }
     let mut last_seen = Vec::new();
     tile_set::push_set(&mut last_seen, &[], &grid.last_seen)?;
-    let head = v1::Grid {
+    let head = layout::Grid {
         tiles: number(grid.tiles.len())?,
         models: number(grid.models.len())?,
         days: number(grid.days.len())?,
@@ -99,7 +99,7 @@ pub(super) fn write(
     for kept in &grid.days {
         writer.long(RecordKind::Day, &day::encode(kept, kept.tiles().len())?.encode_to_vec())?;
         for (tile, of_day) in kept.tiles() {
-            let message = v1::DayTile { tile: tile.0, scans: Some(day::encode_tile(of_day)?), models: Vec::new() };
+            let message = layout::DayTile { tile: tile.0, scans: Some(day::encode_tile(of_day)?), models: Vec::new() };
             writer.long(RecordKind::DayTile, &message.encode_to_vec())?;
         }
     }

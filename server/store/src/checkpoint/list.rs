@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_migrations::v1::lists::{CHECKPOINTS_FILE, CheckpointList};
+use tidemap_layout::lists::{CHECKPOINTS_FILE, CheckpointList};
 
 use super::Checkpoints;
 use crate::{

@@ -10,11 +10,11 @@ use std::{
 };
 
 use prost::Message as _;
+use tidemap_layout::{file::RecordKind, map as layout};
 use tidemap_map::{
     snapshot::StateSnapshot,
     update::{SpectrumRoom, SpectrumSpill},
 };
-use tidemap_migrations::v1::{file::RecordKind, map as v1};
 use tidemap_model::SpectrumSource;
 
 use super::{Checkpoints, NEW_SUFFIX};
@@ -43,7 +43,7 @@ impl SpectrumSource for CheckpointSpectra {
     fn read(&self, place: u64) -> Result<Vec<[f64; 4]>, String> {
         let spectrum = || {
             let (payload, _) = anywhere::raw(&*self.file, RecordKind::State, place)?;
-            let message = v1::State::decode(&payload[..]).map_err(|_| "a state is not a message".to_owned())?;
+            let message = layout::State::decode(&payload[..]).map_err(|_| "a state is not a message".to_owned())?;
             numbers(&message.spectrum)
         };
         spectrum().map_err(|reason| format!("{} is damaged or not readable: {reason}", self.path.display()))

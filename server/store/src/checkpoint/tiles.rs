@@ -15,7 +15,7 @@ use tidemap_grid::{
     index::TileId,
     tile::{TileModel, TileSource, TileSums, TileUnavailable},
 };
-use tidemap_migrations::v1::{file::RecordKind, grid as v1};
+use tidemap_layout::{file::RecordKind, grid as layout};
 use tidemap_model::{Periodicities, PhasorSum};
 
 use super::model_cache::ModelCache;
@@ -135,7 +135,7 @@ impl CheckpointTiles {
 
     pub(crate) fn read_model(&self, tile: TileId) -> Result<TileModel, String> {
         let Some(bytes) = self.raw_model(tile)? else { return Ok(TileModel::default()) };
-        let message: v1::TileModel =
+        let message: layout::TileModel =
             prost::Message::decode(&bytes[..]).map_err(|_| "its model is not a message".to_owned())?;
         tile_model::decode(&message, &self.periodicities)
     }

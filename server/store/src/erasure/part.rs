@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use tidemap_layout::lists::ErasedPart;
 use tidemap_map::{
     erasure::{Decision, NotErasable, Relearning, Selection, StateErasure, Survey},
     event::Event,
@@ -11,7 +12,6 @@ use tidemap_map::{
     name::{NAME_CHARS_MAX, ProducerKey},
     snapshot::{MapSnapshot, StateSnapshot},
 };
-use tidemap_migrations::v1::lists::ErasedPart;
 
 use super::{Erased, Rewrite};
 use crate::error::{EraseError, OpenError};

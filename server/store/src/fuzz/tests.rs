@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use rand::{SeedableRng as _, rngs::SmallRng};
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{FILE_HEADER_LENGTH, RECORD_HEADER_LENGTH, RecordHeader, TRAILER_LENGTH},
     log::{FRAME_HEADER_LENGTH, FrameHeader, SEGMENT_HEADER_LENGTH, unguard},
 };
@@ -68,7 +68,7 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
         for producer in &snapshot.producers {
             add("row", 1, &snapshot::encode_producer(0, producer).encode_to_vec());
         }
-        site::encode(&snapshot.site).into_iter().for_each(|site| add("row", 2, &site.encode_to_vec()));
+        tables::rows(&snapshot.site).for_each(|row| add("row", 2, &row.encode_to_vec()));
         for live in snapshot.grid.iter().flat_map(|grid| &grid.tiles) {
             add("row", 3, &tile::encode(live, false).expect("encodable").encode_to_vec());
         }

@@ -5,8 +5,8 @@
 use std::vec::IntoIter;
 
 use tidemap_grid::{index::TileId, scan::CellRef};
+use tidemap_layout::{file::RecordKind, grid as layout, history::Entry};
 use tidemap_map::history::HistoryDay;
-use tidemap_migrations::v1::{file::RecordKind, grid as v1, history::Entry};
 
 use super::{
     History, Part,
@@ -81,7 +81,7 @@ impl GridDays {
         let damaged = |reason: &str| file.damaged(reason);
         let mut table = Table::new(file);
         let entry = table.find(day_key(number))?.ok_or_else(|| damaged("a day is missing in its table"))?;
-        let head = anywhere::message::<v1::Day>(&*file.file, RecordKind::Day, entry.offset);
+        let head = anywhere::message::<layout::Day>(&*file.file, RecordKind::Day, entry.offset);
         let (head, _) = head.map_err(|failure| file.unread(failure))?;
         let keep = |tile| self.tiles.as_ref().is_none_or(|tiles| tiles.binary_search(&tile).is_ok());
         let mut scans = day::decode(&head, CellRef::TILES_MAX, keep).map_err(damaged)?;
@@ -91,7 +91,7 @@ impl GridDays {
         }
         let mut models = Vec::new();
         let mut take = |entry: Entry| {
-            let read = anywhere::message::<v1::DayTile>(&*file.file, RecordKind::DayTile, entry.offset);
+            let read = anywhere::message::<layout::DayTile>(&*file.file, RecordKind::DayTile, entry.offset);
             let (message, _) = read.map_err(|failure| file.unread(failure))?;
             if entry.key != tile_key(number, message.tile) {
                 return Err(damaged("its table names another tile than its records"));

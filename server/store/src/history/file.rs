@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{FILE_HEADER_LENGTH, FileHeader, HISTORY_MAGIC, RECORD_HEADER_LENGTH, RecordKind, TRAILER_LENGTH, Trailer},
     history::{END_LENGTH, End},
 };

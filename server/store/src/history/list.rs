@@ -6,8 +6,8 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_grid::spec::Retention;
+use tidemap_layout::lists::{FileList, HISTORY_FILE, ListedFile};
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::lists::{FileList, HISTORY_FILE, ListedFile};
 
 use super::{History, Part};
 use crate::{

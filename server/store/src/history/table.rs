@@ -2,11 +2,11 @@
 //!
 //! Invariant: one record of the table is in memory at a time.
 
-use tidemap_map::{history::origins::Origins, ids::StateId};
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{RECORD_HEADER_LENGTH, RecordKind},
     history::{ENTRIES_MAX, ENTRY_LENGTH, Entry, StateSamples},
 };
+use tidemap_map::{history::origins::Origins, ids::StateId};
 
 use tidemap_model::Sample;
 

@@ -5,12 +5,12 @@
 use std::path::Path;
 
 use tidemap_grid::index::TileId;
-use tidemap_map::history::{HistoryDay, HistoryPiece, origins::Origins};
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{FileHeader, HISTORY_MAGIC, RecordKind, Trailer},
-    grid as v1,
+    grid as layout,
     history::{ENTRIES_MAX, ENTRY_LENGTH, End, Entry},
 };
+use tidemap_map::history::{HistoryDay, HistoryPiece, origins::Origins};
 
 use super::Part;
 use crate::{
@@ -154,7 +154,7 @@ impl Out {
         for tile in tiles {
             self.begin(tile_key(number, tile))?;
             let of_day = scans.tile(TileId(tile));
-            let message = v1::DayTile {
+            let message = layout::DayTile {
                 tile,
                 scans: of_day.map(day::encode_tile).transpose()?,
                 models: encode_models(models(tile).unwrap_or_default())?,

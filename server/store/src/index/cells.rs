@@ -13,8 +13,8 @@ use tidemap_grid::{
     index::TileId,
     tile::{TileModel, TileSource, TileSums, TileUnavailable},
 };
-use tidemap_migrations::v1::{
-    grid as v1,
+use tidemap_layout::{
+    grid as layout,
     index::{item_key, map_key},
 };
 use tidemap_model::Periodicities;
@@ -65,7 +65,7 @@ impl IndexedCells {
                 return Err("a newer generation has replaced it".into());
             }
             let Some(item) = item else { return Ok(TileModel::default()) };
-            let model = tile_model::decode(&item.message::<v1::TileModel>(Kind::Cells)?, &self.periodicities)?;
+            let model = tile_model::decode(&item.message::<layout::TileModel>(Kind::Cells)?, &self.periodicities)?;
             Ok::<_, ReadFailure>(model)
         })?
     }

@@ -11,18 +11,14 @@ use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
 };
+use tidemap_layout::{
+    grid as layout_grid,
+    index::{GENERATIONS, Mark, StateRow, decode_value, item_key, map_key},
+    map as layout, site as layout_site,
+};
 use tidemap_map::{
-    site::Site,
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,
-};
-use tidemap_migrations::{
-    v1::{
-        grid as v1_grid,
-        index::{GENERATIONS, Mark, StateRow, decode_value, item_key, map_key},
-        map as v1, site as v1_site,
-    },
-    v2::LandmarksAtPlace,
 };
 
 use tidemap_model::Periodicities;
@@ -34,7 +30,7 @@ use super::{
 };
 use crate::{
     failure::ReadFailure,
-    record::{landmark, published, site as record_site, snapshot as record, spec, tile},
+    record::{published, snapshot as record, spec, tables, tile},
 };
 
 /// States are decoded by this many threads at most.
@@ -60,7 +56,7 @@ pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, ReadFailure> {
     };
     let payload = decode_value(GENERATIONS, &key, &value).ok_or("the mark of a map is damaged")?;
     let mark = Mark::decode(payload).map_err(|_| "the mark of a map is not a message")?;
-    let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() >= Kind::ALWAYS;
+    let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() == Kind::ALL.len();
     Ok(if is_clean { MarkState::Clean(Box::new(mark), value) } else { MarkState::Unfinished })
 }
 
@@ -79,10 +75,9 @@ fn limit(mark: &Mark, kind: Kind) -> u32 {
     match kind {
         Kind::States => snapshot.states,
         Kind::Producers => snapshot.producers,
-        Kind::Sites => 1,
         Kind::Tiles => grid.tiles,
         Kind::Cells => grid.models,
-        Kind::Landmarks => snapshot.landmark_places,
+        Kind::Tables => snapshot.table_rows,
     }
 }
 
@@ -132,26 +127,17 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
     let header = mark.snapshot.ok_or("a mark has no generation")?;
     let mut producers = Vec::new();
     each(trees, map, &mark, Kind::Producers, |item| {
-        let message: v1::Producer = item.message(Kind::Producers)?;
+        let message: layout::Producer = item.message(Kind::Producers)?;
         producers.push(record::decode_producer(producers.len(), &message)?);
         Ok(())
     })?;
     let states = read_states(trees, map, &mark, &spec.periodicities)?;
-    let mut site = Site::default();
-    each(trees, map, &mark, Kind::Sites, |item| {
-        let message: v1_site::Site = item.message(Kind::Sites)?;
-        site = record_site::decode(&message, states.len())?;
+    let mut table_rows: Vec<layout_site::TableRow> = Vec::new();
+    each(trees, map, &mark, Kind::Tables, |item| {
+        table_rows.push(item.message(Kind::Tables)?);
         Ok(())
     })?;
-    let mut places: Vec<LandmarksAtPlace> = Vec::new();
-    each(trees, map, &mark, Kind::Landmarks, |item| {
-        places.push(item.message(Kind::Landmarks)?);
-        Ok(())
-    })?;
-    if places.len() != limit(&mark, Kind::Landmarks) as usize {
-        return Err("landmarks of a place are missing".into());
-    }
-    let site = landmark::decode_into(site, &places)?;
+    let site = tables::site(&table_rows, states.len())?;
     let mut snapshot = record::decode(&header, producers, states, site)?;
     if spec.grid.is_some() != mark.grid.is_some() {
         return Err("it has a grid where its map has none, or none where its map has one".into());
@@ -222,7 +208,7 @@ fn read_grid(
     let of_grid = mark.grid.clone().unwrap_or_default();
     let mut tiles = Vec::new();
     each(trees, map, mark, Kind::Tiles, |item| {
-        let message: v1_grid::Tile = item.message(Kind::Tiles)?;
+        let message: layout_grid::Tile = item.message(Kind::Tiles)?;
         tiles.push(Arc::new(tile::decode(&message)?));
         Ok(())
     })?;

@@ -9,7 +9,7 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_migrations::v1::index::{GENERATIONS, Mark, decode_value};
+use tidemap_layout::index::{GENERATIONS, Mark, decode_value};
 
 use super::{LOCK_TRIES, Trees, folder, rows::Kind, save::RowBatch};
 use crate::failure::ReadFailure;

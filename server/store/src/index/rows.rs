@@ -4,20 +4,17 @@
 
 use prost::Message;
 use tidemap_grid::{live_tile::LiveTile, tile::TileModel};
-use tidemap_map::{
-    site::Site,
-    snapshot::{ProducerMark, StateSnapshot},
-};
-use tidemap_migrations::{
-    v1::index::{
-        CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total, decode_value, encode_value, fingerprint, part_key,
+use tidemap_layout::{
+    index::{
+        CELLS, PART_LENGTH, PRODUCERS, STATES, TABLES, TILES, Total, decode_value, encode_value, fingerprint, part_key,
     },
-    v2::{LANDMARKS, LandmarksAtPlace},
+    site::TableRow,
 };
+use tidemap_map::snapshot::{ProducerMark, StateSnapshot};
 
 use crate::{
     failure::ReadFailure,
-    record::{published, site as record_site, snapshot as record, tile, tile_model},
+    record::{published, snapshot as record, tile, tile_model},
 };
 
 /// A tree of rows.
@@ -26,17 +23,13 @@ pub(super) enum Kind {
     States,
     Tiles,
     Cells,
-    Sites,
+    Tables,
     Producers,
-    Landmarks,
 }
 
 impl Kind {
     /// All, in the order of a mark's totals.
-    pub(super) const ALL: [Kind; 6] =
-        [Kind::States, Kind::Tiles, Kind::Cells, Kind::Sites, Kind::Producers, Kind::Landmarks];
-    /// How many of them have a total in every mark; the others only if they have rows.
-    pub(super) const ALWAYS: usize = 5;
+    pub(super) const ALL: [Kind; 5] = [Kind::States, Kind::Tiles, Kind::Cells, Kind::Tables, Kind::Producers];
 
     /// The name of the tree.
     pub(super) fn name(self) -> &'static str {
@@ -44,9 +37,8 @@ impl Kind {
             Kind::States => STATES,
             Kind::Tiles => TILES,
             Kind::Cells => CELLS,
-            Kind::Sites => SITES,
+            Kind::Tables => TABLES,
             Kind::Producers => PRODUCERS,
-            Kind::Landmarks => LANDMARKS,
         }
     }
 }
@@ -121,14 +113,9 @@ pub(super) fn of_cells(map: u32, id: u32, model: &TileModel) -> Vec<IndexRow> {
     parts(Kind::Cells, map, id, &tile_model::encode(model))
 }
 
-/// The rows of a site; none for an empty site.
-pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
-    record_site::encode(site).map_or_else(Vec::new, |message| parts(Kind::Sites, map, 0, &message))
-}
-
-/// The rows of the landmarks of a place.
-pub(super) fn of_place(map: u32, number: u32, message: &LandmarksAtPlace) -> Vec<IndexRow> {
-    parts(Kind::Landmarks, map, number, message)
+/// The rows of a row of a site.
+pub(super) fn of_table_row(map: u32, number: u32, row: &TableRow) -> Vec<IndexRow> {
+    parts(Kind::Tables, map, number, row)
 }
 
 /// The rows of a producer.

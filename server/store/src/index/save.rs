@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use tidemap_grid::tile::ModelSlot;
+use tidemap_layout::index::{GENERATIONS, GridMark, Mark, encode_value, map_key, part_key};
 use tidemap_map::snapshot::MapSnapshot;
-use tidemap_migrations::v1::index::{GENERATIONS, GridMark, Mark, encode_value, map_key, part_key};
 
 use super::{
     KnownRows, Trees,
@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     failure::ReadFailure,
-    record::{landmark, snapshot as record, spec},
+    record::{snapshot as record, spec, tables as record_tables},
 };
 
 /// Rows in one batch of sled; larger batches hold its lock for too long.
@@ -152,15 +152,13 @@ pub(super) fn save(
     for (id, producer) in (0..).zip(&snapshot.producers) {
         producers.write(id, rows::of_producer(map, id, producer))?;
     }
-    let mut sites = writer(Kind::Sites);
-    sites.write(0, rows::of_site(map, &snapshot.site))?;
-    let mut landmarks = writer(Kind::Landmarks);
-    let mut places = 0;
-    for place in landmark::encode_places(snapshot.site.landmarks()) {
-        landmarks.write(places, rows::of_place(map, places, &place))?;
-        places += 1;
+    let mut tables = writer(Kind::Tables);
+    let mut table_rows = 0;
+    for row in record_tables::rows(&snapshot.site) {
+        tables.write(table_rows, rows::of_table_row(map, table_rows, &row))?;
+        table_rows += 1;
     }
-    landmarks.clear_from(places)?;
+    tables.clear_from(table_rows)?;
     let (mut tiles, mut cells) = (writer(Kind::Tiles), writer(Kind::Cells));
     let mut models = std::mem::take(&mut before.models);
     if let Some(grid) = grid {
@@ -182,8 +180,7 @@ pub(super) fn save(
     }
     before.put(Kind::States, states.finish()?);
     before.put(Kind::Producers, producers.finish()?);
-    before.put(Kind::Sites, sites.finish()?);
-    before.put(Kind::Landmarks, landmarks.finish()?);
+    before.put(Kind::Tables, tables.finish()?);
     before.put(Kind::Tiles, tiles.finish()?);
     before.put(Kind::Cells, cells.finish()?);
     before.models = models;

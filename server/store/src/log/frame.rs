@@ -2,8 +2,8 @@
 //!
 //! Invariant: a frame is used only if its header, its body, its position and its chain are valid.
 
+use tidemap_layout::log::{FRAME_HEADER_LENGTH, FrameHeader, FrameKind, PAYLOAD_MAX, guard, unguard};
 use tidemap_map::event::Event;
-use tidemap_migrations::v1::log::{FRAME_HEADER_LENGTH, FrameHeader, FrameKind, PAYLOAD_MAX, guard, unguard};
 
 use crate::record::{self, Invalid};
 

@@ -4,7 +4,7 @@
 
 use std::{path::Path, path::PathBuf, sync::Arc, vec::IntoIter};
 
-use tidemap_migrations::v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
+use tidemap_layout::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
 
 use crate::{
     disk::{Disk, read_all},

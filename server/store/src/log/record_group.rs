@@ -2,8 +2,8 @@
 //!
 //! Invariant: what [`RecordGroup::events`] gives was checked: headers, bodies, positions and chain.
 
+use tidemap_layout::log::FIRST_CHAIN;
 use tidemap_map::event::Event;
-use tidemap_migrations::v1::log::FIRST_CHAIN;
 
 use crate::log::frame::{Cursor, next_frame};
 

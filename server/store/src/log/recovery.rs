@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     lists::{NEWEST_FILE, NewestSegment},
     log::{FRAME_HEADER_LENGTH, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };

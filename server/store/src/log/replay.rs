@@ -4,8 +4,8 @@
 
 use std::{path::PathBuf, sync::Arc, vec::IntoIter};
 
+use tidemap_layout::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
 use tidemap_map::event::Event;
-use tidemap_migrations::v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
 
 use crate::{
     disk::{Disk, read_all},

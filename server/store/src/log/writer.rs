@@ -9,7 +9,7 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     lists::{NEWEST_FILE, NewestSegment},
     log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };

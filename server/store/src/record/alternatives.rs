@@ -2,7 +2,7 @@
 //!
 //! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
 
-use tidemap_migrations::v1::map as v1;
+use tidemap_layout::map as layout;
 use tidemap_model::{
     Alternatives, AlternativesParts, GapsParts, LocalDay, Periodicities, PersistenceParts, StateKind,
     TrainedModelParts, TrainingRecordParts,
@@ -20,12 +20,12 @@ const DAYS: usize = 48 * 3;
 const SLOTS: usize = 1008;
 
 /// `weight`: total weight of the observations, if it differs from their number.
-pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Alternatives {
+pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> layout::Alternatives {
     let parts = alternatives.to_parts();
     let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);
     doubles::push(&mut hours, parts.hours.cells.as_flattened());
     doubles::push(&mut hours, parts.hours.days.as_flattened());
-    v1::Alternatives {
+    layout::Alternatives {
         hours,
         error_sums_bits: parts.error_sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: parts.last_day.map(|day| day.0),
@@ -35,7 +35,10 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Al
         alarm: Some(encode_alarm(parts.alarm)),
         pairs: parts.succession.pairs,
         change_rate_sum_bits: parts.succession.change_rate_sum.to_bits(),
-        last: parts.succession.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
+        last: parts
+            .succession
+            .last
+            .map(|(nanos, value)| layout::LastObservation { nanos, value_bits: value.to_bits() }),
         supported: u32::from(parts.supported),
         days: parts.days,
         calibrated: parts.trained.iter().find_map(encode_calibrated),
@@ -50,9 +53,9 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Al
     }
 }
 
-pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v1::Alarm {
+pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> layout::Alarm {
     let history = alarm.kinds.iter().flat_map(|kind| [kind.days, kind.mean, kind.variance]);
-    v1::Alarm {
+    layout::Alarm {
         history_bits: history.map(f64::to_bits).collect(),
         typical_observations_bits: alarm.typical_observations.to_bits(),
         sum_bits: alarm.sum.to_bits(),
@@ -61,7 +64,7 @@ pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v1::Alarm {
     }
 }
 
-pub(super) fn decode_alarm(message: Option<&v1::Alarm>) -> Result<ChangeAlarmParts, Invalid> {
+pub(super) fn decode_alarm(message: Option<&layout::Alarm>) -> Result<ChangeAlarmParts, Invalid> {
     const ALARM: Invalid = "a change alarm is not valid";
     let alarm = message.ok_or(ALARM)?;
     let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
@@ -96,7 +99,7 @@ pub(super) fn decode_gains(bits: &[u64]) -> Result<OrderGainsParts, Invalid> {
     }
 }
 
-fn decode_gaps(message: &v1::Alternatives) -> Result<GapsParts, Invalid> {
+fn decode_gaps(message: &layout::Alternatives) -> Result<GapsParts, Invalid> {
     const GAPS: Invalid = "the times between the readings of a state are not valid";
     let (kept, rest) = message.kept_gaps.as_chunks::<2>();
     if !rest.is_empty() {
@@ -106,11 +109,11 @@ fn decode_gaps(message: &v1::Alternatives) -> Result<GapsParts, Invalid> {
     Ok(GapsParts { count: message.gaps, kept: kept.iter().map(gap).collect::<Result<_, Invalid>>()? })
 }
 
-fn encode_calibrated(record: &TrainingRecordParts) -> Option<v1::Calibrated> {
+fn encode_calibrated(record: &TrainingRecordParts) -> Option<layout::Calibrated> {
     let TrainedModelParts::Calibrated(model) = &record.model else { return None };
     let mut profile = Vec::with_capacity(SLOTS * 8);
     doubles::push(&mut profile, &model.profile);
-    Some(v1::Calibrated {
+    Some(layout::Calibrated {
         day: record.day.0,
         error_sum_bits: record.error_sum.map(f64::to_bits),
         observations: model.observations,
@@ -122,7 +125,7 @@ fn encode_calibrated(record: &TrainingRecordParts) -> Option<v1::Calibrated> {
 
 pub(crate) fn decode(
     state_kind: StateKind,
-    message: &v1::Alternatives,
+    message: &layout::Alternatives,
     periodicities: &Periodicities,
 ) -> Result<Alternatives, String> {
     if message.hours.len() != (WEEK + DAYS) * 8 {
@@ -157,7 +160,7 @@ pub(crate) fn decode(
     Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())
 }
 
-fn decode_calibrated(message: &v1::Calibrated) -> Result<TrainingRecordParts, Invalid> {
+fn decode_calibrated(message: &layout::Calibrated) -> Result<TrainingRecordParts, Invalid> {
     if message.profile.len() != SLOTS * 8 {
         return Err("the calibrated profile of a state does not have its length");
     }

@@ -2,14 +2,14 @@
 //!
 //! Invariant: every number is read back bit by bit; what is read has passed the constructors of the model.
 
-use tidemap_migrations::v1::map as v1;
+use tidemap_layout::map as layout;
 use tidemap_model::{Belief, BeliefParts, GapCountParts, OpenDwell, Recent, RecentSpan, StateKind};
 
 use super::{Invalid, doubles};
 
 /// Bytes of a span.
 const SPAN: usize = 16;
-/// Doubles of a [`v1::Belief::numbers`], and of an octave of gaps.
+/// Doubles of a [`layout::Belief::numbers`], and of an octave of gaps.
 const NUMBERS: usize = 11;
 const OCTAVE: usize = 7;
 
@@ -42,7 +42,7 @@ pub(crate) fn decode_recent(bytes: &[u8]) -> Result<Recent, String> {
     Recent::from_spans(&decode_spans(bytes)?).map_err(|error| error.to_string())
 }
 
-pub(crate) fn encode(belief: &Belief) -> v1::Belief {
+pub(crate) fn encode(belief: &Belief) -> layout::Belief {
     let parts = belief.to_parts();
     let mut numbers = Vec::with_capacity(NUMBERS * 8);
     doubles::push(&mut numbers, &parts.seen_rates);
@@ -53,16 +53,16 @@ pub(crate) fn encode(belief: &Belief) -> v1::Belief {
     let mut lag_sums = Vec::with_capacity(parts.lag_sums.len() * 8);
     doubles::push(&mut lag_sums, &parts.lag_sums);
     let dwells = parts.dwells.into_iter().zip(parts.dwell_counts).zip(parts.fresh_dwells);
-    v1::Belief {
+    layout::Belief {
         has_two_values: parts.has_two_values,
-        newest: parts.newest.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
+        newest: parts.newest.map(|(nanos, value)| layout::LastObservation { nanos, value_bits: value.to_bits() }),
         recent: encode_recent(&parts.recent),
         numbers,
         seen: encode_octaves(&parts.seen),
         hidden: encode_octaves(&parts.hidden),
         days: parts.days,
-        dwells: dwells.map(|((secs, count), fresh)| v1::BeliefDwells { secs, count, fresh }).collect(),
-        open: parts.open.map(|open| v1::OpenDwell {
+        dwells: dwells.map(|((secs, count), fresh)| layout::BeliefDwells { secs, count, fresh }).collect(),
+        open: parts.open.map(|open| layout::OpenDwell {
             is_one: open.is_one,
             since_nanos: open.since.map(|(nanos, _)| nanos),
             since_secs_bits: open.since.map_or(0, |(_, secs)| secs.to_bits()),
@@ -72,7 +72,7 @@ pub(crate) fn encode(belief: &Belief) -> v1::Belief {
     }
 }
 
-pub(crate) fn decode(kind: StateKind, message: &v1::Belief) -> Result<Belief, String> {
+pub(crate) fn decode(kind: StateKind, message: &layout::Belief) -> Result<Belief, String> {
     let mut numbers = Vec::new();
     doubles::take(&message.numbers, &mut numbers);
     let [rise, fall, hidden_rise, hidden_fall, ones, misses, zeros, false_alarms, miss, false_alarm, gain] =

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_grid::observed_times::ObservedTimes;
-use tidemap_migrations::v1::grid as v1;
+use tidemap_layout::grid as layout;
 use tidemap_model::{GapSample, OrderWatch, OrderWatchParts};
 
 use super::{
@@ -17,8 +17,8 @@ use super::{
 /// Larger counts are refused, so that the sum of two never overflows.
 const COUNT_MAX: u64 = 1 << 61;
 
-pub(super) fn encode_times(times: &ObservedTimes) -> v1::GroupTimes {
-    v1::GroupTimes {
+pub(super) fn encode_times(times: &ObservedTimes) -> layout::GroupTimes {
+    layout::GroupTimes {
         gaps: times.gaps.count(),
         kept_secs: times.gaps.kept_secs().to_vec(),
         hours_bits: times.hours.to_bits(),
@@ -29,7 +29,7 @@ pub(super) fn encode_times(times: &ObservedTimes) -> v1::GroupTimes {
     }
 }
 
-pub(super) fn decode_times(message: &v1::GroupTimes) -> Result<Arc<ObservedTimes>, Invalid> {
+pub(super) fn decode_times(message: &layout::GroupTimes) -> Result<Arc<ObservedTimes>, Invalid> {
     const TIMES: Invalid = "the times between the observations of a group are not valid";
     let hours = f64::from_bits(message.hours_bits);
     if message.gaps > COUNT_MAX || !(0.0..=f64::MAX).contains(&hours) {
@@ -48,9 +48,9 @@ pub(super) fn decode_times(message: &v1::GroupTimes) -> Result<Arc<ObservedTimes
     Ok(Arc::new(ObservedTimes { gaps, hours, by_hour }))
 }
 
-pub(super) fn encode_watch(watch: &OrderWatch) -> v1::CellWatch {
+pub(super) fn encode_watch(watch: &OrderWatch) -> layout::CellWatch {
     let parts = watch.to_parts();
-    v1::CellWatch {
+    layout::CellWatch {
         gains_bits: encode_gains(parts.gains),
         alarm: Some(encode_alarm(parts.alarm)),
         change_rate_sum_bits: parts.change_rate_sum.to_bits(),
@@ -60,7 +60,7 @@ pub(super) fn encode_watch(watch: &OrderWatch) -> v1::CellWatch {
     }
 }
 
-pub(super) fn decode_watch(message: &v1::CellWatch) -> Result<OrderWatch, Invalid> {
+pub(super) fn decode_watch(message: &layout::CellWatch) -> Result<OrderWatch, Invalid> {
     let parts = OrderWatchParts {
         gains: decode_gains(&message.gains_bits)?,
         alarm: decode_alarm(message.alarm.as_ref())?,

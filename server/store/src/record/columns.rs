@@ -3,7 +3,7 @@
 //! This runs for every observation, so each column is one pass over a slice. Invariant: a column has as many items as
 //! its count, or a single one if all are equal.
 
-use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
+use tidemap_layout::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
 use tidemap_model::VALUE_MAX;
 
 use super::{

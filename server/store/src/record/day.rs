@@ -13,7 +13,7 @@ use tidemap_grid::{
     sensors::SensorId,
     snapshot::FutureScan,
 };
-use tidemap_migrations::v1::grid as v1;
+use tidemap_layout::grid as layout;
 use tidemap_model::LocalDay;
 
 use super::{
@@ -32,7 +32,7 @@ const SCANS_MAX: usize = 1 << 26;
 const SEEN_TILES_MAX: usize = 1 << 30;
 
 /// The day without its tiles; `tiles` records of tiles follow it.
-pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v1::Day, Invalid> {
+pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<layout::Day, Invalid> {
     const MANY: Invalid = "a day has more scans or tiles than can be numbered";
     let nanos: Vec<i64> = day.scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
@@ -56,7 +56,7 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v1::Day, Invalid> {
     if day.scans.len() > SCANS_MAX {
         return Err(MANY);
     }
-    Ok(v1::Day {
+    Ok(layout::Day {
         day: day.day.0,
         scans: u32::try_from(scans).map_err(|_| MANY)?,
         first_time_nanos: times.first_nanos,
@@ -77,7 +77,7 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<v1::Day, Invalid> {
 
 /// The day without its tiles. All tiles are below `tiles_end`, and so below `limit`. `keep` selects the tiles that the
 /// runs of presence keep.
-pub(crate) fn decode(message: &v1::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
+pub(crate) fn decode(message: &layout::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
     let count = message.scans as usize;
     if count > SCANS_MAX {
         return Err("a day has more scans than the limit");
@@ -122,18 +122,18 @@ pub(crate) fn decode(message: &v1::Day, limit: u32, keep: impl Fn(TileId) -> boo
 }
 
 /// One day's observations of a tile.
-pub(crate) fn encode_tile(tile: &DayTile) -> Result<v1::DayTileScans, Invalid> {
+pub(crate) fn encode_tile(tile: &DayTile) -> Result<layout::DayTileScans, Invalid> {
     let key = |flip: &Flip| (flip.scan, flip.bit(), flip.cell());
     let is_ordered = tile.flips.is_sorted_by(|one, next| key(one) < key(next));
     let (flips, flips_in_order) =
         if is_ordered { (encode_by_bit(&tile.flips), Vec::new()) } else { (Vec::new(), encode_in_order(&tile.flips)?) };
     let is_last_known = flipped(tile.first, &tile.flips) == Some(tile.last);
-    Ok(v1::DayTileScans {
+    Ok(layout::DayTileScans {
         first_observed: encode_mask(tile.first.observed()),
         first_occupied: encode_mask(tile.first.occupied()),
         flips,
         flips_in_order,
-        last: (!is_last_known).then(|| v1::Masks {
+        last: (!is_last_known).then(|| layout::Masks {
             observed: encode_mask(tile.last.observed()),
             occupied: encode_mask(tile.last.occupied()),
         }),
@@ -207,7 +207,7 @@ fn encode_in_order(flips: &[Flip]) -> Result<Vec<u8>, Invalid> {
 }
 
 /// Decodes a tile; its flips belong to scans below `scans`.
-pub(crate) fn decode_tile(message: &v1::DayTileScans, scans: u32) -> Result<DayTile, Invalid> {
+pub(crate) fn decode_tile(message: &layout::DayTileScans, scans: u32) -> Result<DayTile, Invalid> {
     let first = decode_masks(&message.first_observed, &message.first_occupied)?;
     let mut flips = decode_by_bit(&message.flips, scans)?;
     flips.extend(decode_in_order(&message.flips_in_order, scans)?);
@@ -258,13 +258,13 @@ fn decode_in_order(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
 }
 
 /// A scan whose time is in the future.
-pub(crate) fn encode_ahead(scan: &FutureScan) -> v1::AheadScan {
+pub(crate) fn encode_ahead(scan: &FutureScan) -> layout::AheadScan {
     let mut bytes = Vec::with_capacity(scan.tiles.len() * 2 * MASK_LENGTH);
     for (_, masks) in &scan.tiles {
         bytes.extend(masks.observed().to_bytes());
         bytes.extend(masks.occupied().to_bytes());
     }
-    v1::AheadScan {
+    layout::AheadScan {
         utc_nanos: scan.time.utc_nanos,
         offset_secs: scan.time.offset_secs,
         tiles: scan.tiles.iter().map(|(tile, _)| tile.0).collect(),
@@ -274,7 +274,7 @@ pub(crate) fn encode_ahead(scan: &FutureScan) -> v1::AheadScan {
 }
 
 /// Decodes a scan; its tiles are below `limit`.
-pub(crate) fn decode_ahead(message: &v1::AheadScan, limit: u32) -> Result<FutureScan, Invalid> {
+pub(crate) fn decode_ahead(message: &layout::AheadScan, limit: u32) -> Result<FutureScan, Invalid> {
     let (sets, rest) = message.masks.as_chunks::<MASK_LENGTH>();
     let (pairs, odd) = sets.as_chunks::<2>();
     if !rest.is_empty() || !odd.is_empty() || pairs.len() != message.tiles.len() {

@@ -2,7 +2,7 @@
 //!
 //! Invariant: every number is read back bit by bit. The constructor of the ensemble checks the numbers.
 
-use tidemap_migrations::v1::ensemble as v1;
+use tidemap_layout::ensemble as layout;
 use tidemap_model::{ClassParts, EnsembleParts, LocalDay, SaidParts};
 
 use super::Invalid;
@@ -31,13 +31,16 @@ fn read_array<const N: usize>(bytes: &[u8]) -> Result<[f32; N], Invalid> {
     read_singles(bytes)?.try_into().map_err(|_| INVALID)
 }
 
-pub(crate) fn encode(parts: &EnsembleParts) -> v1::Ensemble {
+pub(crate) fn encode(parts: &EnsembleParts) -> layout::Ensemble {
     let [all, recent] = &parts.tables;
     let [slow_stack, fast_stack] = &parts.stacks;
     let day = |day: Option<LocalDay>| day.map(|day| day.0);
-    let bin =
-        |&(day, mean, looks): &(i32, f32, f32)| v1::Bin { day, mean_bits: mean.to_bits(), looks_bits: looks.to_bits() };
-    v1::Ensemble {
+    let bin = |&(day, mean, looks): &(i32, f32, f32)| layout::Bin {
+        day,
+        mean_bits: mean.to_bits(),
+        looks_bits: looks.to_bits(),
+    };
+    layout::Ensemble {
         looks_bits: bits(&parts.looks),
         last_day: day(parts.last_day),
         all: singles(all),
@@ -62,20 +65,20 @@ pub(crate) fn encode(parts: &EnsembleParts) -> v1::Ensemble {
     }
 }
 
-fn encode_class(class: &ClassParts) -> v1::Class {
+fn encode_class(class: &ClassParts) -> layout::Class {
     let numbers = [&class.losses[..], &class.explained, &[class.looks]].concat();
-    let said = |said: &SaidParts| v1::Said {
+    let said = |said: &SaidParts| layout::Said {
         day: said.day.0,
         mean_bits: said.mean.to_bits(),
         weeks: said.weeks.clone(),
         rhythm_bits: bits(&said.rhythm),
     };
     let [newer, older] = class.said.each_ref().map(|before| before.as_ref().map(said));
-    v1::Class { numbers: singles(&numbers), newer, older }
+    layout::Class { numbers: singles(&numbers), newer, older }
 }
 
-pub(crate) fn decode(message: &v1::Ensemble) -> Result<EnsembleParts, Invalid> {
-    let bin = |bin: &v1::Bin| (bin.day, f32::from_bits(bin.mean_bits), f32::from_bits(bin.looks_bits));
+pub(crate) fn decode(message: &layout::Ensemble) -> Result<EnsembleParts, Invalid> {
+    let bin = |bin: &layout::Bin| (bin.day, f32::from_bits(bin.mean_bits), f32::from_bits(bin.looks_bits));
     let classes: Vec<ClassParts> = message.classes.iter().map(decode_class).collect::<Result<_, Invalid>>()?;
     let smooth: Vec<f64> = message.smooth_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     Ok(EnsembleParts {
@@ -99,11 +102,11 @@ pub(crate) fn decode(message: &v1::Ensemble) -> Result<EnsembleParts, Invalid> {
     })
 }
 
-fn decode_class(message: &v1::Class) -> Result<ClassParts, Invalid> {
+fn decode_class(message: &layout::Class) -> Result<ClassParts, Invalid> {
     let numbers = read_singles(&message.numbers)?;
     let (losses, rest) = numbers.split_first_chunk().ok_or(INVALID)?;
     let &[by_pool, by_mean, looks] = rest else { return Err(INVALID) };
-    let said = |said: &v1::Said| {
+    let said = |said: &layout::Said| {
         Ok::<SaidParts, Invalid>(SaidParts {
             day: LocalDay(said.day),
             mean: f32::from_bits(said.mean_bits),
@@ -146,7 +149,7 @@ mod tests {
         for days in [0, 1, 9, 400] {
             let parts = ensemble(days).to_parts();
             let bytes = encode(&parts).encode_to_vec();
-            let read = decode(&v1::Ensemble::decode(bytes.as_slice()).expect("a message")).expect("valid");
+            let read = decode(&layout::Ensemble::decode(bytes.as_slice()).expect("a message")).expect("valid");
             assert_eq!(read, parts);
             assert_eq!(Ensemble::from_parts(&read).expect("valid").to_parts(), parts);
             assert!(bytes.len() < 24_000, "{} bytes after {days} days", bytes.len());
@@ -156,12 +159,12 @@ mod tests {
     #[test]
     fn an_ensemble_with_a_list_of_another_length_is_refused() {
         let whole = encode(&ensemble(9).to_parts());
-        assert!(decode(&v1::Ensemble { gaps: vec![1], ..whole.clone() }).is_err());
-        assert!(decode(&v1::Ensemble { all: vec![0; 6], ..whole.clone() }).is_err());
-        let short = decode(&v1::Ensemble { all: vec![0; 8], ..whole.clone() }).expect("a list of singles");
+        assert!(decode(&layout::Ensemble { gaps: vec![1], ..whole.clone() }).is_err());
+        assert!(decode(&layout::Ensemble { all: vec![0; 6], ..whole.clone() }).is_err());
+        let short = decode(&layout::Ensemble { all: vec![0; 8], ..whole.clone() }).expect("a list of singles");
         assert!(Ensemble::from_parts(&short).is_err());
         let nan = [f32::NAN; 82].iter().flat_map(|number| number.to_le_bytes()).collect();
-        let nan = decode(&v1::Ensemble { rotations: nan, ..whole }).expect("a list of singles");
+        let nan = decode(&layout::Ensemble { rotations: nan, ..whole }).expect("a list of singles");
         assert!(Ensemble::from_parts(&nan).is_err());
     }
 }

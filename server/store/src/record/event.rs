@@ -3,6 +3,7 @@
 //! Invariant: `decode(encode(event)) == event` to the last bit, or `encode` refuses.
 
 use prost::Message as _;
+use tidemap_layout::{cluster, event as layout, log::FrameKind, site as layout_site};
 use tidemap_map::{
     event::{
         Digest, Dimensions, Envelope, Epoch, Event, NewState, Observations, OffsetRun, SequenceSpan, StateShape,
@@ -11,15 +12,12 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     name::StateName,
 };
-use tidemap_migrations::{
-    v1::{event as v1, log::FrameKind, site as v1_site},
-    v3,
-};
 
 use super::{
     Invalid, columns,
     ids::{decode_kind, decode_new_producer, decode_refused, encode_kind, encode_new_producer, encode_refused},
-    rows, scans, sensors, site, task, traversal,
+    rows, scans, sensors,
+    tables::{self, failures, tasks},
 };
 
 /// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
@@ -42,11 +40,11 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         Event::Scans(envelope, event) => Ok((FrameKind::Scans, scans::encode(envelope, event)?.encode_to_vec())),
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
         Event::AddState(state) => Ok((FrameKind::AddState, encode_new_state(state).encode_to_vec())),
-        Event::EditSite(edit) => Ok((FrameKind::EditSite, site::encode_edit(edit).encode_to_vec())),
+        Event::EditSite(edit) => Ok((FrameKind::EditSite, tables::encode_edit(edit)?.encode_to_vec())),
         Event::Epoch(epoch) => Ok((FrameKind::Epoch, encode_epoch(epoch).encode_to_vec())),
         Event::UpdateDone(done) => Ok((FrameKind::UpdateDone, encode_update_done(done).encode_to_vec())),
         Event::ForgetProducers(producers) => {
-            let message = v3::ForgetProducers { producers: producers.iter().map(|id| id.0).collect() };
+            let message = layout::ForgetProducers { producers: producers.iter().map(|id| id.0).collect() };
             Ok((FrameKind::ForgetProducers, message.encode_to_vec()))
         }
     }
@@ -57,62 +55,65 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
     const GARBLED: Invalid = "the payload is not a message";
     match kind {
         FrameKind::Observations => {
-            let message = v1::Observations::decode(payload).map_err(|_| GARBLED)?;
+            let message = layout::Observations::decode(payload).map_err(|_| GARBLED)?;
             let (envelope, observations) = decode_observations(&message)?;
             Ok(Event::Observations(envelope, observations))
         }
         FrameKind::Scans => {
-            let message = v1::Scans::decode(payload).map_err(|_| GARBLED)?;
+            let message = layout::Scans::decode(payload).map_err(|_| GARBLED)?;
             let (envelope, scans) = scans::decode(&message)?;
             Ok(Event::Scans(envelope, scans))
         }
         FrameKind::UpdateStart => {
-            let message = v1::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
+            let message = layout::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
             decode_update_start(&message).map(Event::UpdateStart)
         }
         FrameKind::AddState => {
-            let message = v1::NewState::decode(payload).map_err(|_| GARBLED)?;
+            let message = layout::NewState::decode(payload).map_err(|_| GARBLED)?;
             decode_new_state(&message).map(Event::AddState)
         }
         FrameKind::EditSite => {
-            let message = v1_site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
-            site::decode_edit(&message).map(Event::EditSite)
+            let message = layout_site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
+            tables::decode_edit(&message).map(Event::EditSite)
         }
         FrameKind::Epoch => {
-            let v3::Epoch { epoch, writer, version, maths } = v3::Epoch::decode(payload).map_err(|_| GARBLED)?;
+            let cluster::Epoch { epoch, writer, version, maths } =
+                cluster::Epoch::decode(payload).map_err(|_| GARBLED)?;
             Ok(Event::Epoch(Epoch { epoch, writer, version, maths }))
         }
         FrameKind::UpdateDone => {
-            let v3::UpdateDone { generation, digest, maths } = v3::UpdateDone::decode(payload).map_err(|_| GARBLED)?;
+            let cluster::UpdateDone { generation, digest, maths } =
+                cluster::UpdateDone::decode(payload).map_err(|_| GARBLED)?;
             Ok(Event::UpdateDone(UpdateDone { generation, digest: Digest(digest), maths }))
         }
         FrameKind::ForgetProducers => {
-            let v3::ForgetProducers { producers } = v3::ForgetProducers::decode(payload).map_err(|_| GARBLED)?;
+            let layout::ForgetProducers { producers } =
+                layout::ForgetProducers::decode(payload).map_err(|_| GARBLED)?;
             Ok(Event::ForgetProducers(producers.into_iter().map(ProducerId).collect()))
         }
     }
 }
 
-fn encode_epoch(epoch: &Epoch) -> v3::Epoch {
+fn encode_epoch(epoch: &Epoch) -> cluster::Epoch {
     let Epoch { epoch, writer, version, maths } = epoch.clone();
-    v3::Epoch { epoch, writer, version, maths }
+    cluster::Epoch { epoch, writer, version, maths }
 }
 
-fn encode_update_done(done: &UpdateDone) -> v3::UpdateDone {
-    v3::UpdateDone { generation: done.generation, digest: done.digest.0, maths: done.maths }
+fn encode_update_done(done: &UpdateDone) -> cluster::UpdateDone {
+    cluster::UpdateDone { generation: done.generation, digest: done.digest.0, maths: done.maths }
 }
 
-fn encode_update_start(start: &UpdateStart) -> v1::UpdateStart {
+fn encode_update_start(start: &UpdateStart) -> layout::UpdateStart {
     let cause = match start.cause {
         UpdateCause::Request => 1,
         UpdateCause::Midnight => 2,
         UpdateCause::DataTime => 3,
         UpdateCause::PendingLimit => 4,
     };
-    v1::UpdateStart { generation: start.generation, cut_nanos: start.cut_nanos, cause }
+    layout::UpdateStart { generation: start.generation, cut_nanos: start.cut_nanos, cause }
 }
 
-fn decode_update_start(message: &v1::UpdateStart) -> Result<UpdateStart, Invalid> {
+fn decode_update_start(message: &layout::UpdateStart) -> Result<UpdateStart, Invalid> {
     let cause = match message.cause {
         1 => UpdateCause::Request,
         2 => UpdateCause::Midnight,
@@ -136,7 +137,7 @@ fn check_counts(accepted: usize, columns: [usize; 3], offsets: impl Iterator<Ite
     Ok(())
 }
 
-fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v1::Observations, Invalid> {
+fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<layout::Observations, Invalid> {
     let lengths = [event.states.len(), event.times_nanos.len(), event.values.len()];
     check_counts(event.states.len(), lengths, event.offsets.iter().map(|run| run.count))?;
     if envelope.span.is_empty() {
@@ -145,7 +146,7 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v1::
     let (refused_sequences, refused_reasons) = encode_refused(&envelope.refused)?;
     let times = columns::encode_times(&event.times_nanos)?;
     let (value_encoding, values) = columns::encode_values(&event.values)?;
-    Ok(v1::Observations {
+    Ok(layout::Observations {
         producer: envelope.producer.0,
         new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
         incarnation: envelope.incarnation,
@@ -166,12 +167,12 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v1::
         offset_secs: event.offsets.iter().map(|run| run.offset_secs).collect(),
         refused_sequences,
         refused_reasons,
-        failures: event.failures.iter().map(traversal::encode_failure).collect(),
-        runs: event.runs.iter().map(task::encode_run).collect(),
+        failures: event.failures.iter().map(failures::encode_failure).collect(),
+        runs: event.runs.iter().map(tasks::encode_run).collect(),
     })
 }
 
-fn decode_observations(message: &v1::Observations) -> Result<(Envelope, Observations), Invalid> {
+fn decode_observations(message: &layout::Observations) -> Result<(Envelope, Observations), Invalid> {
     let count = message.count as usize;
     check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
     if message.offset_counts.len() != message.offset_secs.len() {
@@ -205,13 +206,13 @@ fn decode_observations(message: &v1::Observations) -> Result<(Envelope, Observat
             times_nanos: columns::decode_times(&times, count)?,
             values: columns::decode_values(message.value_encoding, &message.values, count)?,
             offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
-            failures: message.failures.iter().map(traversal::decode_failure).collect::<Result<_, _>>()?,
-            runs: message.runs.iter().map(task::decode_run).collect::<Result<_, _>>()?,
+            failures: message.failures.iter().map(failures::decode_failure).collect::<Result<_, _>>()?,
+            runs: message.runs.iter().map(tasks::decode_run).collect::<Result<_, _>>()?,
         },
     ))
 }
 
-fn encode_new_state(state: &NewState) -> v1::NewState {
+fn encode_new_state(state: &NewState) -> layout::NewState {
     let kind = match state.shape {
         StateShape::Scalar(kind) => encode_kind(kind),
         StateShape::Vector(Dimensions::Two) => VECTOR_OF_TWO,
@@ -222,10 +223,10 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
     let labels = state.labels.iter().filter_map(StateName::as_label).map(|(_, label)| label.to_owned()).collect();
     let sensor = state.sensor.map(sensors::encode_state_sensor);
     let reporting = rows::encode_reporting(state.reporting);
-    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor, reporting, labels }
+    layout::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor, reporting, labels }
 }
 
-fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
+fn decode_new_state(state: &layout::NewState) -> Result<NewState, Invalid> {
     const NAME: Invalid = "the name of a state is not valid";
     if state.kind == CATEGORICAL {
         return decode_categorical(state).ok_or("the labels of a categorical state are not valid");
@@ -256,7 +257,7 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
 }
 
 /// A categorical state, which has no sensor and reports samples.
-fn decode_categorical(state: &v1::NewState) -> Option<NewState> {
+fn decode_categorical(state: &layout::NewState) -> Option<NewState> {
     let name = StateName::new(&state.name).ok()?;
     let labels = state.labels.iter().map(|label| name.label(label).ok()).collect::<Option<Vec<_>>>()?;
     let is_plain = state.sensor.is_none() && state.reporting.is_none();

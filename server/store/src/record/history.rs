@@ -2,6 +2,7 @@
 //!
 //! Invariant: `decode(encode(x)) == x` to the last bit, or `encode` refuses.
 
+use tidemap_layout::history as layout;
 use tidemap_map::{
     history::{
         OutlierComponent, OutlierModel,
@@ -9,7 +10,6 @@ use tidemap_map::{
     },
     ids::{ProducerId, StateId},
 };
-use tidemap_migrations::v1::history as v1;
 use tidemap_model::Sample;
 
 use super::{Invalid, cells::place, columns, offsets};
@@ -22,7 +22,7 @@ pub(crate) fn encode_samples(
     state: StateId,
     samples: &[Sample],
     origins: &Origins,
-) -> Result<v1::StateSamples, Invalid> {
+) -> Result<layout::StateSamples, Invalid> {
     if origins.each().count() != samples.len() {
         return Err("the origins are not as many as the observations");
     }
@@ -37,7 +37,7 @@ pub(crate) fn encode_samples(
     let (times, time_runs) = columns::encode_times_in_runs(&nanos)?;
     let (value_encoding, values, value_runs) = columns::encode_values_in_runs(&values)?;
     let (offset_counts, offset_secs) = offsets::encode(samples.iter().map(|sample| sample.offset_secs));
-    Ok(v1::StateSamples {
+    Ok(layout::StateSamples {
         state: state.0,
         count: u32::try_from(samples.len()).map_err(|_| "there are more observations than one record may hold")?,
         first_time_nanos: times.first_nanos,
@@ -60,8 +60,8 @@ pub(crate) fn encode_samples(
 }
 
 /// The origins of the observations of a record.
-pub(crate) fn decode_origins(message: &v1::StateSamples) -> Result<Origins, Invalid> {
-    let v1::StateSamples { count, run_counts, run_producers, run_steps, ahead, .. } = message;
+pub(crate) fn decode_origins(message: &layout::StateSamples) -> Result<Origins, Invalid> {
+    let layout::StateSamples { count, run_counts, run_producers, run_steps, ahead, .. } = message;
     let total = run_counts.iter().map(|&count| u64::from(count)).sum::<u64>();
     let is_sound = run_producers.len() == run_counts.len() && run_steps.len() == run_counts.len();
     if !is_sound || total != u64::from(*count) || ahead > count {
@@ -78,7 +78,7 @@ pub(crate) fn decode_origins(message: &v1::StateSamples) -> Result<Origins, Inva
     Ok(Origins { runs, ahead: *ahead, arrived, is_early, is_crowded })
 }
 
-pub(crate) fn decode_samples(message: &v1::StateSamples) -> Result<Vec<Sample>, Invalid> {
+pub(crate) fn decode_samples(message: &layout::StateSamples) -> Result<Vec<Sample>, Invalid> {
     let count = message.count as usize;
     if count > SAMPLES_MAX {
         return Err("there are more observations than one record may hold");

@@ -2,12 +2,12 @@
 //!
 //! Invariant: decoding gives the encoded value, and it has passed the constructors of the domain.
 
+use tidemap_layout::map as layout;
 use tidemap_map::{
     event::StateKind,
     ids::{NewProducer, RefusalReason},
     name::{ProducerKey, StateName},
 };
-use tidemap_migrations::v1::map as v1;
 
 use super::{Invalid, sensors};
 
@@ -36,22 +36,27 @@ pub(super) fn decode_refused(sequences: &[u64], reasons: &[u32]) -> Result<Vec<(
     Ok(refused)
 }
 
-pub(super) fn encode_producer_key(key: &ProducerKey) -> v1::ProducerKey {
-    v1::ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
+pub(super) fn encode_producer_key(key: &ProducerKey) -> layout::ProducerKey {
+    layout::ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
 }
 
-pub(super) fn decode_producer_key(key: &v1::ProducerKey) -> Result<ProducerKey, Invalid> {
+pub(super) fn decode_producer_key(key: &layout::ProducerKey) -> Result<ProducerKey, Invalid> {
     ProducerKey::new(&key.producer, &key.label).map_err(|_| "the name of a producer is not valid")
 }
 
-pub(super) fn encode_new_producer(new: &NewProducer) -> v1::NewProducer {
-    let v1::ProducerKey { producer, label } = encode_producer_key(&new.key);
-    v1::NewProducer { producer, label, sensor: sensors::encode(new.sensor), introduced_by: new.introduced_by.clone() }
+pub(super) fn encode_new_producer(new: &NewProducer) -> layout::NewProducer {
+    let layout::ProducerKey { producer, label } = encode_producer_key(&new.key);
+    layout::NewProducer {
+        producer,
+        label,
+        sensor: sensors::encode(new.sensor),
+        introduced_by: new.introduced_by.clone(),
+    }
 }
 
-pub(super) fn decode_new_producer(new: &v1::NewProducer) -> Result<NewProducer, Invalid> {
-    let v1::NewProducer { producer, label, sensor, introduced_by } = new;
-    let key = v1::ProducerKey { producer: producer.clone(), label: label.clone() };
+pub(super) fn decode_new_producer(new: &layout::NewProducer) -> Result<NewProducer, Invalid> {
+    let layout::NewProducer { producer, label, sensor, introduced_by } = new;
+    let key = layout::ProducerKey { producer: producer.clone(), label: label.clone() };
     Ok(NewProducer {
         key: decode_producer_key(&key)?,
         sensor: sensors::decode(sensor.as_ref())?,

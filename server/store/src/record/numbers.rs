@@ -2,16 +2,16 @@
 //!
 //! Invariant: every number is read back bit by bit. The constructor of the ensemble checks lengths and numbers.
 
-use tidemap_migrations::v1::ensemble as v1;
+use tidemap_layout::ensemble as layout;
 use tidemap_model::{LocalDay, NumberEnsembleParts};
 
 use super::doubles;
 
-pub(crate) fn encode(parts: &NumberEnsembleParts) -> v1::NumberEnsemble {
+pub(crate) fn encode(parts: &NumberEnsembleParts) -> layout::NumberEnsemble {
     let mut numbers = Vec::new();
     doubles::push(&mut numbers, &parts.numbers);
-    let turns = |days: &Vec<LocalDay>| v1::Turns { days: days.iter().map(|day| day.0).collect() };
-    v1::NumberEnsemble {
+    let turns = |days: &Vec<LocalDay>| layout::Turns { days: days.iter().map(|day| day.0).collect() };
+    layout::NumberEnsemble {
         last_day: parts.last_day.map(|day| day.0),
         numbers,
         seen: parts.seen.clone(),
@@ -19,10 +19,10 @@ pub(crate) fn encode(parts: &NumberEnsembleParts) -> v1::NumberEnsemble {
     }
 }
 
-pub(crate) fn decode(message: &v1::NumberEnsemble) -> NumberEnsembleParts {
+pub(crate) fn decode(message: &layout::NumberEnsemble) -> NumberEnsembleParts {
     let mut numbers = Vec::new();
     doubles::take(&message.numbers, &mut numbers);
-    let days = |turns: &v1::Turns| turns.days.iter().copied().map(LocalDay).collect();
+    let days = |turns: &layout::Turns| turns.days.iter().copied().map(LocalDay).collect();
     NumberEnsembleParts {
         last_day: message.last_day.map(LocalDay),
         numbers,

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_grid::observation_runs::{CellRuns, DayRuns, ObservationRuns};
-use tidemap_migrations::v1::grid as v1;
+use tidemap_layout::grid as layout;
 
 use super::{
     Invalid, columns, sensors,
@@ -17,11 +17,11 @@ use super::{
 const SCANS_MAX: u32 = 1 << 26;
 const INVALID: Invalid = "the runs in which cells were observed are not valid";
 
-pub(crate) fn encode(runs: &ObservationRuns) -> Result<Vec<v1::SeenDay>, Invalid> {
+pub(crate) fn encode(runs: &ObservationRuns) -> Result<Vec<layout::SeenDay>, Invalid> {
     runs.days().iter().map(encode_day).collect()
 }
 
-fn encode_day(day: &DayRuns) -> Result<v1::SeenDay, Invalid> {
+fn encode_day(day: &DayRuns) -> Result<layout::SeenDay, Invalid> {
     let scans = u32::try_from(day.civil_nanos.len()).ok().filter(|&scans| (1..=SCANS_MAX).contains(&scans));
     // Times may lie at the ends of i64.
     let differences: Vec<i64> = day.civil_nanos.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect();
@@ -34,7 +34,7 @@ fn encode_day(day: &DayRuns) -> Result<v1::SeenDay, Invalid> {
     }
     let of_scans = day.sensors.as_deref().map_or(&[][..], Vec::as_slice);
     let (sensor_counts, sensor_numbers) = sensors::encode_runs(of_scans.iter().copied());
-    Ok(v1::SeenDay {
+    Ok(layout::SeenDay {
         scans: scans.ok_or("a day has more scans than it may have")?,
         first_civil_nanos: day.civil_nanos.first().copied().unwrap_or(0),
         time_unit_nanos: unit.unsigned_abs(),
@@ -55,12 +55,12 @@ fn push_gaps(out: &mut Vec<u8>, numbers: impl ExactSizeIterator<Item = u32>) -> 
     Ok(())
 }
 
-pub(crate) fn decode(days: &[v1::SeenDay]) -> Result<ObservationRuns, Invalid> {
+pub(crate) fn decode(days: &[layout::SeenDay]) -> Result<ObservationRuns, Invalid> {
     let days = days.iter().map(decode_day).collect::<Result<_, _>>()?;
     ObservationRuns::from_days(days).map_err(|_| INVALID)
 }
 
-fn decode_day(message: &v1::SeenDay) -> Result<DayRuns, Invalid> {
+fn decode_day(message: &layout::SeenDay) -> Result<DayRuns, Invalid> {
     if !(1..=SCANS_MAX).contains(&message.scans) {
         return Err(INVALID);
     }

@@ -2,8 +2,8 @@
 //!
 //! Invariant: every number is read back bit by bit.
 
+use tidemap_layout::index::StateRow;
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_migrations::v1::index::StateRow;
 use tidemap_model::Periodicities;
 
 use super::{

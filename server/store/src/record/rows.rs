@@ -4,12 +4,12 @@
 
 use std::sync::Arc;
 
+use tidemap_layout::rows as layout;
 use tidemap_map::{
     event::{Hold, Reporting, StateShape},
     ids::ProducerId,
     live_state::NewestRow,
 };
-use tidemap_migrations::v1::rows as v1;
 use tidemap_model::{LearnedRows, Row, StateModel};
 
 use super::Invalid;
@@ -18,17 +18,17 @@ const CHANGES: u32 = 1;
 const EVENTS: u32 = 2;
 
 /// `None` of samples.
-pub(super) fn encode_reporting(reporting: Reporting) -> Option<v1::Reporting> {
+pub(super) fn encode_reporting(reporting: Reporting) -> Option<layout::Reporting> {
     let (kind, hold) = match reporting {
         Reporting::Samples => return None,
         Reporting::Changes(hold) => (CHANGES, hold),
         Reporting::Events(hold) => (EVENTS, hold),
     };
-    Some(v1::Reporting { kind, max_secs: hold.max_secs(), step_secs: hold.step_secs() })
+    Some(layout::Reporting { kind, max_secs: hold.max_secs(), step_secs: hold.step_secs() })
 }
 
 /// What a state of this shape may have.
-pub(super) fn decode_reporting(message: Option<&v1::Reporting>, shape: StateShape) -> Result<Reporting, Invalid> {
+pub(super) fn decode_reporting(message: Option<&layout::Reporting>, shape: StateShape) -> Result<Reporting, Invalid> {
     let Some(message) = message else { return Ok(Reporting::Samples) };
     let hold =
         Hold::new(message.max_secs, message.step_secs).map_err(|_| "a state holds its values for no duration")?;
@@ -40,25 +40,25 @@ pub(super) fn decode_reporting(message: Option<&v1::Reporting>, shape: StateShap
     if shape.may_report(reporting) { Ok(reporting) } else { Err("a state is reported as its kind cannot be") }
 }
 
-fn encode_row((nanos, value): Row) -> v1::Row {
-    v1::Row { nanos, value_bits: value.map(f64::to_bits) }
+fn encode_row((nanos, value): Row) -> layout::Row {
+    layout::Row { nanos, value_bits: value.map(f64::to_bits) }
 }
 
-fn decode_row(message: v1::Row) -> Row {
+fn decode_row(message: layout::Row) -> Row {
     (message.nanos, message.value_bits.map(f64::from_bits))
 }
 
 /// `None` of a state of samples.
-pub(super) fn encode(model: &StateModel, newest: Option<NewestRow>) -> Option<v1::Rows> {
+pub(super) fn encode(model: &StateModel, newest: Option<NewestRow>) -> Option<layout::Rows> {
     let learned = model.learned_rows()?;
-    Some(v1::Rows {
+    Some(layout::Rows {
         reporting: encode_reporting(model.reporting()),
         learned: learned.rows,
         first_nanos: learned.first_nanos,
         next_nanos: learned.next_nanos,
         newest_learned: learned.newest.map(encode_row),
         open_events_bits: learned.open_events.map(f64::to_bits),
-        newest: newest.map(|newest| v1::NewestRow {
+        newest: newest.map(|newest| layout::NewestRow {
             nanos: newest.nanos,
             has_value: newest.has_value,
             is_live: newest.is_live,
@@ -70,18 +70,18 @@ pub(super) fn encode(model: &StateModel, newest: Option<NewestRow>) -> Option<v1
 }
 
 /// The newest row that arrived.
-pub(super) fn decode_newest(message: Option<&v1::Rows>) -> Result<Option<NewestRow>, Invalid> {
+pub(super) fn decode_newest(message: Option<&layout::Rows>) -> Result<Option<NewestRow>, Invalid> {
     let Some(newest) = message.and_then(|rows| rows.newest) else { return Ok(None) };
     let events = f64::from_bits(newest.events_bits);
     if !events.is_finite() {
         return Err("a state has no number of events");
     }
-    let v1::NewestRow { nanos, has_value, is_live, producer, .. } = newest;
+    let layout::NewestRow { nanos, has_value, is_live, producer, .. } = newest;
     Ok(Some(NewestRow { nanos, has_value, is_live, producer: ProducerId(producer), events }))
 }
 
 /// The model with how it is reported.
-pub(super) fn decode(model: StateModel, message: Option<&v1::Rows>) -> Result<StateModel, Invalid> {
+pub(super) fn decode(model: StateModel, message: Option<&layout::Rows>) -> Result<StateModel, Invalid> {
     let Some(rows) = message else { return Ok(model) };
     let reporting = decode_reporting(rows.reporting.as_ref(), StateShape::Scalar(model.kind()))?;
     let newest = rows.newest_learned.map(decode_row);
@@ -94,7 +94,7 @@ pub(super) fn decode(model: StateModel, message: Option<&v1::Rows>) -> Result<St
     if known.chain(open_events).any(|value| !value.is_finite()) {
         return Err("a row of a state has no number");
     }
-    let v1::Rows { learned, first_nanos, next_nanos, .. } = *rows;
+    let layout::Rows { learned, first_nanos, next_nanos, .. } = *rows;
     let learned = LearnedRows { rows: learned, first_nanos, next_nanos, newest, open_events, waiting };
     Ok(model.with_reporting(reporting, learned))
 }

@@ -10,11 +10,11 @@ use tidemap_grid::{
     index::{TILE_CELLS, TileId, TileIndex},
     scan::{CellRef, LoggedScan, Scans},
 };
+use tidemap_layout::event as layout;
 use tidemap_map::{
     event::{Envelope, SequenceSpan},
     ids::ProducerId,
 };
-use tidemap_migrations::v1::event as v1;
 
 use super::{
     Invalid, columns,
@@ -93,7 +93,7 @@ fn add_whole(flips: &mut Vec<CellRef>, tiles: &[TileId]) {
 }
 
 /// The message of an event.
-pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<v1::Scans, Invalid> {
+pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<layout::Scans, Invalid> {
     let scans = &event.scans;
     if scans.len() > SCANS_MAX {
         return Err("there are more scans than one record may hold");
@@ -109,7 +109,7 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<v1::Scans, In
     let nanos: Vec<i64> = scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(scans.iter().map(|scan| scan.offset_secs));
-    Ok(v1::Scans {
+    Ok(layout::Scans {
         producer: envelope.producer.0,
         new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
         incarnation: envelope.incarnation,
@@ -138,7 +138,7 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<v1::Scans, In
 }
 
 /// The event of a message.
-pub(super) fn decode(message: &v1::Scans) -> Result<(Envelope, Scans), Invalid> {
+pub(super) fn decode(message: &layout::Scans) -> Result<(Envelope, Scans), Invalid> {
     let count = message.count as usize;
     if count > SCANS_MAX {
         return Err("there are more scans than one record may hold");

@@ -4,19 +4,20 @@
 //! such a sensor is checked elsewhere.
 
 use tidemap_grid::sensors::{ProducerSensor, SensorId};
-use tidemap_migrations::v1::map as v1;
+use tidemap_layout::map as layout;
 use tidemap_model::StateSensor;
 
 use super::Invalid;
 
 const NUMBER: Invalid = "the number of a sensor is too large";
 
-pub(super) fn encode(sensor: Option<ProducerSensor>) -> Option<v1::Sensor> {
-    sensor.map(|sensor| v1::Sensor { hit_bits: sensor.hit.to_bits(), false_alarm_bits: sensor.false_alarm.to_bits() })
+pub(super) fn encode(sensor: Option<ProducerSensor>) -> Option<layout::Sensor> {
+    sensor
+        .map(|sensor| layout::Sensor { hit_bits: sensor.hit.to_bits(), false_alarm_bits: sensor.false_alarm.to_bits() })
 }
 
 /// Decodes a sensor; the map checks whether it has such a sensor.
-pub(super) fn decode(message: Option<&v1::Sensor>) -> Result<Option<ProducerSensor>, Invalid> {
+pub(super) fn decode(message: Option<&layout::Sensor>) -> Result<Option<ProducerSensor>, Invalid> {
     let Some(message) = message else { return Ok(None) };
     let (hit, false_alarm) = (f64::from_bits(message.hit_bits), f64::from_bits(message.false_alarm_bits));
     // NaN fails both comparisons.
@@ -24,11 +25,11 @@ pub(super) fn decode(message: Option<&v1::Sensor>) -> Result<Option<ProducerSens
     if is_sensor { Ok(Some(ProducerSensor { hit, false_alarm })) } else { Err("the sensor of a producer is not valid") }
 }
 
-pub(super) fn encode_state_sensor(sensor: StateSensor) -> v1::Sensor {
-    v1::Sensor { hit_bits: sensor.hit().to_bits(), false_alarm_bits: sensor.false_alarm().to_bits() }
+pub(super) fn encode_state_sensor(sensor: StateSensor) -> layout::Sensor {
+    layout::Sensor { hit_bits: sensor.hit().to_bits(), false_alarm_bits: sensor.false_alarm().to_bits() }
 }
 
-pub(super) fn decode_state_sensor(message: &v1::Sensor) -> Result<StateSensor, Invalid> {
+pub(super) fn decode_state_sensor(message: &layout::Sensor) -> Result<StateSensor, Invalid> {
     let (hit, false_alarm) = (f64::from_bits(message.hit_bits), f64::from_bits(message.false_alarm_bits));
     StateSensor::new(hit, false_alarm).map_err(|_| "the sensor of a state is not valid")
 }

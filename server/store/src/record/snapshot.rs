@@ -4,11 +4,11 @@
 
 use std::{collections::HashSet, sync::Arc};
 
+use tidemap_layout::map as layout;
 use tidemap_map::{
     site::Site,
     snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
 };
-use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LABELS, LocalDay, OrderErrors, OrderErrorsParts, Periodicities,
     Persistence, PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
@@ -17,12 +17,12 @@ use tidemap_model::{
 use super::{
     Invalid, alternatives, belief,
     ids::{decode_producer_key, decode_state_kind, encode_producer_key, encode_state_kind},
-    rows, sensors, surprises,
+    rows, sensors, surprises, tables,
 };
 
 /// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
-pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
-    v1::Snapshot {
+pub(crate) fn encode(snapshot: &MapSnapshot) -> layout::Snapshot {
+    layout::Snapshot {
         position: snapshot.position,
         replay_from: snapshot.replay_from,
         generation: snapshot.generation,
@@ -30,9 +30,8 @@ pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
         newest_nanos: snapshot.newest_nanos,
         producers: snapshot.producers.len() as u32,
         states: snapshot.states.len() as u32,
-        has_site: !snapshot.site.is_empty(),
-        // Nodes and edges are numbered in 32 bits.
-        landmark_places: snapshot.site.landmarks().places().len() as u32,
+        // The limits of the tables allow fewer than 32 bits can number.
+        table_rows: tables::count(&snapshot.site) as u32,
     }
 }
 
@@ -97,14 +96,14 @@ fn check_labels(states: &[StateSnapshot]) -> Result<(), Invalid> {
 }
 
 /// Positions must let the replay start at a position that the log has.
-pub(crate) fn check_positions(message: &v1::Snapshot) -> Result<(), Invalid> {
+pub(crate) fn check_positions(message: &layout::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
     if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
 }
 
 /// A snapshot from its counters, its producers, its states and its site.
 pub(crate) fn decode(
-    message: &v1::Snapshot,
+    message: &layout::Snapshot,
     producers: Vec<ProducerMark>,
     states: Vec<StateSnapshot>,
     site: Site,
@@ -113,8 +112,8 @@ pub(crate) fn decode(
     if producers.len() != message.producers as usize || states.len() != message.states as usize {
         return Err("states or producers are missing or too many");
     }
-    if message.has_site == site.is_empty() {
-        return Err("the site is missing or unexpected");
+    if message.table_rows as usize != tables::count(&site) {
+        return Err("rows of the site are missing or too many");
     }
     check_axes(&states)?;
     check_labels(&states)?;
@@ -132,8 +131,8 @@ pub(crate) fn decode(
     })
 }
 
-pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
-    v1::Producer {
+pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> layout::Producer {
+    layout::Producer {
         id,
         key: Some(encode_producer_key(&mark.key)),
         incarnation: mark.incarnation,
@@ -151,7 +150,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
 }
 
 /// The producer that must have number `id`.
-pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<ProducerMark, Invalid> {
+pub(crate) fn decode_producer(id: usize, message: &layout::Producer) -> Result<ProducerMark, Invalid> {
     if message.id as usize != id {
         return Err("a producer is missing or out of order");
     }
@@ -182,11 +181,11 @@ pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<Produ
 }
 
 /// A state with its sums.
-pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> v1::State {
+pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> layout::State {
     let persistence = state.persistence.to_parts();
     let spectral = state.model.spectral();
     let errors = state.model.errors().to_parts();
-    let component = |component: &Component| v1::Component {
+    let component = |component: &Component| layout::Component {
         periodicity: component.periodicity,
         re_bits: component.gamma_re.to_bits(),
         im_bits: component.gamma_im.to_bits(),
@@ -194,15 +193,15 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     // If all observations have weight 1, their weight is their number.
     let weight = Some(accumulator.weight).filter(|&weight| weight != accumulator.observations as f64);
     let known = state.model.alternatives().map(|known| alternatives::encode(known, weight));
-    v1::State {
+    layout::State {
         id,
         name: state.name.as_str().to_owned(),
         kind: encode_state_kind(&state.name, state.kind),
         observations: state.observations,
         pairs: persistence.pairs,
         change_rate_sum_bits: persistence.change_rate_sum.to_bits(),
-        last: persistence.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
-        accumulator: Some(v1::Accumulator {
+        last: persistence.last.map(|(nanos, value)| layout::LastObservation { nanos, value_bits: value.to_bits() }),
+        accumulator: Some(layout::Accumulator {
             observations: accumulator.observations,
             sum_bits: accumulator.sum.to_bits(),
             sum_squares_bits: accumulator.sum_squares.to_bits(),
@@ -212,7 +211,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
             periodicities: accumulator.spectrum.len() as u32,
         }),
         spectrum: accumulator.spectrum.as_flattened().iter().flat_map(|number| number.to_le_bytes()).collect(),
-        spectral: Some(v1::Spectral {
+        spectral: Some(layout::Spectral {
             mean_bits: spectral.mean().to_bits(),
             observations: spectral.observations(),
             components: spectral.components().iter().map(component).collect(),
@@ -222,7 +221,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
         error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: errors.last_day.map(|day| day.0),
         alternatives: known,
-        short: accumulator.short.map(|short| v1::ShortRecord {
+        short: accumulator.short.map(|short| layout::ShortRecord {
             readings: short
                 .readings
                 .iter()
@@ -239,7 +238,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     }
 }
 
-fn decode_short(message: &v1::ShortRecord) -> Result<ShortRecord, String> {
+fn decode_short(message: &layout::ShortRecord) -> Result<ShortRecord, String> {
     let (readings, rest) = message.readings.as_chunks::<16>();
     if !rest.is_empty() {
         return Err("the readings of a state do not have their length".to_owned());
@@ -263,7 +262,7 @@ pub(crate) enum SpectrumIn {
 /// The state that must have number `id`.
 pub(crate) fn decode_state(
     id: usize,
-    message: &v1::State,
+    message: &layout::State,
     periodicities: &Periodicities,
     spectrum: SpectrumIn,
 ) -> Result<StateSnapshot, String> {
@@ -289,7 +288,7 @@ pub(crate) fn decode_state(
 
 fn decode_model(
     kind: StateKind,
-    message: &v1::State,
+    message: &layout::State,
     periodicities: &Periodicities,
     spectrum_in: SpectrumIn,
 ) -> Result<StateModel, String> {
@@ -312,7 +311,7 @@ fn decode_model(
         spectrum: spectrum.to_vec(),
         short: message.short.as_ref().map(decode_short).transpose()?,
     };
-    let component = |component: &v1::Component| Component {
+    let component = |component: &layout::Component| Component {
         periodicity: component.periodicity,
         gamma_re: f64::from_bits(component.re_bits),
         gamma_im: f64::from_bits(component.im_bits),

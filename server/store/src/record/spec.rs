@@ -7,14 +7,14 @@ use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
+use tidemap_layout::map as layout;
 use tidemap_map::{name::MapName, spec::MapSpec};
-use tidemap_migrations::v1::map as v1;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
 use super::Invalid;
 
 /// The record of a map.
-pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
+pub(crate) fn encode(spec: &MapSpec) -> layout::MapSpec {
     let (harmonics_base_nanos, harmonics_count, period_nanos) = match spec.periodicities.definition() {
         PeriodicityDefinition::Harmonics { base_nanos, count } => (*base_nanos, *count, Vec::new()),
         PeriodicityDefinition::List { period_nanos } => (0, 0, period_nanos.clone()),
@@ -23,7 +23,7 @@ pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
         OrderCriterion::SquaredError => 1,
         OrderCriterion::ZeroOne => 2,
     };
-    v1::MapSpec {
+    layout::MapSpec {
         name: spec.name.as_str().to_owned(),
         zone: spec.zone.name().to_owned(),
         harmonics_base_nanos,
@@ -51,10 +51,10 @@ pub fn encode_spec(spec: &MapSpec) -> Vec<u8> {
 /// # Errors
 /// What is wrong with them.
 pub fn decode_spec(bytes: &[u8]) -> Result<MapSpec, String> {
-    decode(v1::MapSpec::decode(bytes).map_err(|error| error.to_string())?)
+    decode(layout::MapSpec::decode(bytes).map_err(|error| error.to_string())?)
 }
 
-pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {
+pub(crate) fn decode(message: layout::MapSpec) -> Result<MapSpec, String> {
     let periodicities = if message.harmonics_count > 0 {
         Periodicities::harmonics(message.harmonics_base_nanos, message.harmonics_count)
     } else {
@@ -87,15 +87,15 @@ fn decode_models(bits: u32) -> Result<EnabledModels, String> {
     EnabledModels::from_bits(bits).ok_or_else(|| format!("models {bits} are not all known"))
 }
 
-fn encode_retention(retention: Retention) -> v1::Retention {
+fn encode_retention(retention: Retention) -> layout::Retention {
     match retention {
-        Retention::None => v1::Retention { kind: 0, nanos: 0 },
-        Retention::Duration(nanos) => v1::Retention { kind: 1, nanos },
-        Retention::Forever => v1::Retention { kind: 2, nanos: 0 },
+        Retention::None => layout::Retention { kind: 0, nanos: 0 },
+        Retention::Duration(nanos) => layout::Retention { kind: 1, nanos },
+        Retention::Forever => layout::Retention { kind: 2, nanos: 0 },
     }
 }
 
-fn decode_retention(message: v1::Retention) -> Result<Retention, String> {
+fn decode_retention(message: layout::Retention) -> Result<Retention, String> {
     match message.kind {
         0 => Ok(Retention::None),
         1 => Ok(Retention::Duration(message.nanos)),
@@ -104,8 +104,8 @@ fn decode_retention(message: v1::Retention) -> Result<Retention, String> {
     }
 }
 
-fn encode_grid(grid: &GridSpec) -> v1::GridSpec {
-    v1::GridSpec {
+fn encode_grid(grid: &GridSpec) -> layout::GridSpec {
+    layout::GridSpec {
         frame_id: grid.frame_id.clone(),
         is_flat: grid.is_flat,
         resolution_bits: grid.resolution_m.to_bits(),
@@ -119,7 +119,7 @@ fn encode_grid(grid: &GridSpec) -> v1::GridSpec {
     }
 }
 
-fn decode_grid(message: v1::GridSpec) -> Result<GridSpec, String> {
+fn decode_grid(message: layout::GridSpec) -> Result<GridSpec, String> {
     let origin: Vec<f64> = message.origin_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     let grid = GridSpec {
         frame_id: message.frame_id,
@@ -139,22 +139,22 @@ fn decode_grid(message: v1::GridSpec) -> Result<GridSpec, String> {
     Ok(grid)
 }
 
-fn encode_box(cells: &CellBox) -> v1::CellBox {
+fn encode_box(cells: &CellBox) -> layout::CellBox {
     let corner = |cell: CellIndex| vec![cell.x, cell.y, cell.z];
-    v1::CellBox { min: corner(cells.min), max: corner(cells.max) }
+    layout::CellBox { min: corner(cells.min), max: corner(cells.max) }
 }
 
 /// What scans said to show; `None` for nothing.
-pub(crate) fn encode_shown(cells: &CellBox) -> Option<v1::CellBox> {
+pub(crate) fn encode_shown(cells: &CellBox) -> Option<layout::CellBox> {
     (!cells.is_empty()).then(|| encode_box(cells))
 }
 
 /// What scans said to show, if they did.
-pub(crate) fn decode_shown(message: Option<&v1::CellBox>) -> Result<CellBox, Invalid> {
+pub(crate) fn decode_shown(message: Option<&layout::CellBox>) -> Result<CellBox, Invalid> {
     message.map_or(Ok(CellBox::default()), decode_box)
 }
 
-fn decode_box(message: &v1::CellBox) -> Result<CellBox, Invalid> {
+fn decode_box(message: &layout::CellBox) -> Result<CellBox, Invalid> {
     let corner = |cell: &[i32]| match *cell {
         [x, y, z] => Ok(CellIndex { x, y, z }),
         _ => Err("a corner of the grid is not three numbers"),
@@ -178,7 +178,7 @@ mod tests {
         assert_eq!(decode_shown(Some(&message)), Ok(shown));
         assert_eq!(encode_shown(&CellBox::default()), None);
         assert_eq!(decode_shown(None), Ok(CellBox::default()), "records from before say nothing");
-        let cut = v1::CellBox { min: vec![1, 2], max: vec![3, 4, 5] };
+        let cut = layout::CellBox { min: vec![1, 2], max: vec![3, 4, 5] };
         assert!(decode_shown(Some(&cut)).is_err());
     }
 }

@@ -2,17 +2,17 @@
 //!
 //! Invariant: every number is read back bit by bit; numbers outside their range are refused.
 
-use tidemap_migrations::v1::map as v1;
+use tidemap_layout::map as layout;
 use tidemap_model::{SurpriseRun, Surprises};
 
 /// The message; `None` if there is nothing to keep.
-pub(crate) fn encode(surprises: &Surprises) -> Option<v1::Surprises> {
+pub(crate) fn encode(surprises: &Surprises) -> Option<layout::Surprises> {
     if *surprises == Surprises::default() {
         return None;
     }
     let run = |run: &SurpriseRun| {
         let (probability_bits, observed_bits) = (run.probability.to_bits(), run.observed_probability.to_bits());
-        v1::SurpriseRun {
+        layout::SurpriseRun {
             first_nanos: run.first_nanos,
             length_nanos: run.last_nanos.abs_diff(run.first_nanos),
             observations: run.observations,
@@ -24,13 +24,13 @@ pub(crate) fn encode(surprises: &Surprises) -> Option<v1::Surprises> {
         }
     };
     let runs = surprises.runs().iter().map(run).collect();
-    Some(v1::Surprises { runs, is_open: surprises.is_open(), dropped: surprises.dropped() })
+    Some(layout::Surprises { runs, is_open: surprises.is_open(), dropped: surprises.dropped() })
 }
 
 /// The unusual observations of a message; none if it is absent.
-pub(crate) fn decode(message: Option<&v1::Surprises>) -> Result<Surprises, String> {
+pub(crate) fn decode(message: Option<&layout::Surprises>) -> Result<Surprises, String> {
     let Some(message) = message else { return Ok(Surprises::default()) };
-    let run = |run: &v1::SurpriseRun| {
+    let run = |run: &layout::SurpriseRun| {
         let last_nanos = run.first_nanos.checked_add_unsigned(run.length_nanos);
         Ok(SurpriseRun {
             first_nanos: run.first_nanos,
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn what_no_model_can_have_found_is_refused() {
-        let wrong = |change: fn(&mut v1::SurpriseRun)| {
+        let wrong = |change: fn(&mut layout::SurpriseRun)| {
             let mut message = encode(&surprises()).expect("a message");
             change(&mut message.runs[0]);
             decode(Some(&message)).expect_err("refused")

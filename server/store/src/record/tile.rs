@@ -8,7 +8,7 @@ use tidemap_grid::{
     live_tile::{Away, LiveTile},
     sensors::SensorId,
 };
-use tidemap_migrations::v1::grid as v1;
+use tidemap_layout::grid as layout;
 
 use super::{
     Invalid,
@@ -20,7 +20,7 @@ use super::{
 /// Larger counts are refused, so that the sum of two never overflows.
 const COUNT_MAX: u64 = 1 << 61;
 
-pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v1::Tile, Invalid> {
+pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<layout::Tile, Invalid> {
     let mut away = CellsOut::default();
     for cell in &tile.away {
         away.push(cell.cell)?;
@@ -39,7 +39,7 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v1::Tile, Inval
         change_rates.push(cell)?;
         change_rates.bytes.extend(rate.to_le_bytes());
     }
-    Ok(v1::Tile {
+    Ok(layout::Tile {
         x: tile.index.x,
         y: tile.index.y,
         z: tile.index.z,
@@ -59,7 +59,7 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<v1::Tile, Inval
     })
 }
 
-pub(crate) fn decode(message: &v1::Tile) -> Result<LiveTile, Invalid> {
+pub(crate) fn decode(message: &layout::Tile) -> Result<LiveTile, Invalid> {
     let index = TileIndex { x: message.x, y: message.y, z: message.z };
     if !index.is_valid() {
         return Err("a tile lies outside the limits");

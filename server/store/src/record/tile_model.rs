@@ -15,7 +15,7 @@ use tidemap_grid::{
     sensors::Weights,
     tile::{CellModel, Group, TileModel, TileSums},
 };
-use tidemap_migrations::v1::grid as v1;
+use tidemap_layout::grid as layout;
 use tidemap_model::{
     Component, HoursSeen, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities,
     PhasorSum, SpectralModel,
@@ -35,11 +35,11 @@ const NO_SUM: u32 = u32::MAX;
 /// Flag in the number of changed cells: weighted sums follow.
 const HAS_WEIGHTED: u32 = 1 << 31;
 
-pub(crate) fn encode(model: &TileModel) -> v1::TileModel {
+pub(crate) fn encode(model: &TileModel) -> layout::TileModel {
     let group = |(index, group): (usize, &Group)| {
         let weights = model.sensors.as_ref().map(|_| model.weights(index));
         let fade = model.sensors.as_ref().and_then(|sensors| sensors.fades.get(index));
-        v1::Group {
+        layout::Group {
             cells: encode_mask(group.cells),
             observations: group.observations,
             first_nanos: group.first_nanos,
@@ -53,14 +53,14 @@ pub(crate) fn encode(model: &TileModel) -> v1::TileModel {
         }
     };
     let weight = |cell: usize| model.sensors.as_ref().map(|_| model.occupied_weight(cell).to_bits());
-    v1::TileModel {
+    layout::TileModel {
         groups: model.groups.iter().enumerate().map(group).collect(),
         always_occupied: encode_mask(model.always_occupied),
         cells: model.cells.iter().enumerate().map(|(at, cell)| encode_cell(cell, weight(at))).collect(),
     }
 }
 
-fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v1::Cell {
+fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> layout::Cell {
     let errors = cell.errors.to_parts();
     let mut components = Vec::with_capacity(cell.spectral.components().len() * COMPONENT);
     for component in cell.spectral.components() {
@@ -70,7 +70,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v1::Cell 
     }
     let mut error_sums = Vec::new();
     doubles::push(&mut error_sums, &errors.sums);
-    v1::Cell {
+    layout::Cell {
         cell: u32::from(cell.cell),
         occupied: cell.occupied,
         mean_bits: cell.spectral.mean().to_bits(),
@@ -84,7 +84,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v1::Cell 
     }
 }
 
-pub(crate) fn decode(message: &v1::TileModel, periodicities: &Periodicities) -> Result<TileModel, String> {
+pub(crate) fn decode(message: &layout::TileModel, periodicities: &Periodicities) -> Result<TileModel, String> {
     let mut observed = Mask::EMPTY;
     let mut groups = Vec::with_capacity(message.groups.len());
     for group in &message.groups {
@@ -93,7 +93,7 @@ pub(crate) fn decode(message: &v1::TileModel, periodicities: &Periodicities) -> 
             return Err("a cell is in two observation groups".to_owned());
         }
         observed |= cells;
-        let v1::Group { observations, first_nanos, last_nanos, .. } = *group;
+        let layout::Group { observations, first_nanos, last_nanos, .. } = *group;
         let seen = match group.seen.as_slice() {
             [] => HoursSeen::default(),
             bytes => HoursSeen::from_bytes(bytes).ok_or("the hours at which a group was observed are not 48")?,
@@ -110,7 +110,7 @@ pub(crate) fn decode(message: &v1::TileModel, periodicities: &Periodicities) -> 
 }
 
 /// Weights of readings; empty if all are of the map's own sensor.
-fn decode_weights(message: &v1::TileModel) -> Result<Option<SensorWeights>, Invalid> {
+fn decode_weights(message: &layout::TileModel) -> Result<Option<SensorWeights>, Invalid> {
     const PARTLY: Invalid = "the weights of readings are missing for some groups or cells of a tile, or are not finite";
     let parts = || {
         let groups = message.groups.iter().flat_map(|group| [group.alpha_bits, group.beta_bits]);
@@ -120,7 +120,8 @@ fn decode_weights(message: &v1::TileModel) -> Result<Option<SensorWeights>, Inva
         return Ok(None);
     }
     let number = |bits: Option<u64>| bits.map(f64::from_bits).filter(|number| number.is_finite()).ok_or(PARTLY);
-    let group = |group: &v1::Group| Ok(Weights { alpha: number(group.alpha_bits)?, beta: number(group.beta_bits)? });
+    let group =
+        |group: &layout::Group| Ok(Weights { alpha: number(group.alpha_bits)?, beta: number(group.beta_bits)? });
     Ok(Some(SensorWeights {
         groups: message.groups.iter().map(group).collect::<Result<_, Invalid>>()?,
         occupied: message.cells.iter().map(|cell| number(cell.occupied_weight_bits)).collect::<Result<_, _>>()?,
@@ -129,11 +130,11 @@ fn decode_weights(message: &v1::TileModel) -> Result<Option<SensorWeights>, Inva
 }
 
 /// How far the groups have faded; empty without a half-life.
-fn decode_fades(message: &v1::TileModel) -> Result<Vec<GroupFade>, Invalid> {
+fn decode_fades(message: &layout::TileModel) -> Result<Vec<GroupFade>, Invalid> {
     if message.groups.iter().all(|group| (group.weight_bits, group.day, group.sum_day) == (None, None, None)) {
         return Ok(Vec::new());
     }
-    let fade = |group: &v1::Group| {
+    let fade = |group: &layout::Group| {
         let weight = group.weight_bits.map(f64::from_bits).filter(|weight| (0.0..=f64::MAX).contains(weight))?;
         Some(GroupFade { weight, day: LocalDay(group.day?), sum_day: LocalDay(group.sum_day?) })
     };
@@ -141,7 +142,7 @@ fn decode_fades(message: &v1::TileModel) -> Result<Vec<GroupFade>, Invalid> {
     fades.ok_or("the fading is missing for some groups of a tile, or a weight is not a number from 0 up")
 }
 
-fn decode_cell(message: &v1::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
+fn decode_cell(message: &layout::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
     let invalid = |error: InvalidParts| error.to_string();
     let (components, rest) = message.components.as_chunks::<COMPONENT>();
     let components: Vec<Component> = components.iter().map(decode_component).collect();
@@ -186,7 +187,7 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
-    let sightings = v1::Sightings {
+    let sightings = layout::Sightings {
         days: observation_runs::encode(&sums.runs)?,
         times: sums.times.iter().map(|times| cell_watch::encode_times(times)).collect(),
         watches: sums.watches.iter().map(cell_watch::encode_watch).collect(),
@@ -245,7 +246,7 @@ struct Sightings {
 impl Sightings {
     /// Of a tile with so many groups and changed cells.
     fn decode(bytes: &[u8], groups: usize, cells: usize) -> Result<Sightings, Invalid> {
-        let message = v1::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
+        let message = layout::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
         if (message.times.len(), message.watches.len()) != (groups, cells) {
             return Err(SIGHTINGS);
         }

@@ -3,7 +3,7 @@
 //! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
 use prost::Message as _;
-use tidemap_migrations::v1::trained as v1;
+use tidemap_layout::trained as layout;
 use tidemap_model::{
     Component, LocalDay, Periodicities, TrainedModelParts, TrainingRecordParts,
     models::{
@@ -18,9 +18,9 @@ const INVALID: Invalid = "the trained models of a state are not valid";
 
 /// Empty if there is none.
 pub(crate) fn encode(records: &[TrainingRecordParts]) -> Vec<u8> {
-    let mut message = v1::TrainedModels::default();
+    let mut message = layout::TrainedModels::default();
     for parts in records {
-        let training = Some(v1::Training { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
+        let training = Some(layout::Training { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
         match &parts.model {
             TrainedModelParts::Calibrated(_) => {}
             TrainedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(training, model)),
@@ -39,7 +39,7 @@ pub(crate) fn encode(records: &[TrainingRecordParts]) -> Vec<u8> {
 
 /// The models of a state of a map with these periodicities.
 pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<TrainingRecordParts>, Invalid> {
-    let message = v1::TrainedModels::decode(bytes).map_err(|_| INVALID)?;
+    let message = layout::TrainedModels::decode(bytes).map_err(|_| INVALID)?;
     let pergam = message.pergam.as_ref().map(decode_pergam);
     let em = message.hypertime_em.as_ref().map(|model| decode_hypertime(HypertimeMethod::Em, model));
     let km = message.hypertime_km.as_ref().map(|model| decode_hypertime(HypertimeMethod::Km, model));
@@ -55,7 +55,10 @@ fn doubles(bits: &[u64]) -> Vec<f64> {
     bits.iter().map(|&bits| f64::from_bits(bits)).collect()
 }
 
-fn with_training(model: TrainedModelParts, training: Option<&v1::Training>) -> Result<TrainingRecordParts, Invalid> {
+fn with_training(
+    model: TrainedModelParts,
+    training: Option<&layout::Training>,
+) -> Result<TrainingRecordParts, Invalid> {
     let training = training.ok_or(INVALID)?;
     Ok(TrainingRecordParts {
         model,
@@ -64,13 +67,13 @@ fn with_training(model: TrainedModelParts, training: Option<&v1::Training>) -> R
     })
 }
 
-fn encode_pergam(training: Option<v1::Training>, model: &PergamParts) -> v1::Pergam {
+fn encode_pergam(training: Option<layout::Training>, model: &PergamParts) -> layout::Pergam {
     let numbers = |gaussian: &PergamGaussian| [gaussian.weight, gaussian.mean_secs, gaussian.deviation_secs];
     let gaussians: Vec<f64> = model.gaussians.iter().flat_map(numbers).collect();
-    v1::Pergam { training, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
+    layout::Pergam { training, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
 }
 
-fn decode_pergam(message: &v1::Pergam) -> Result<TrainingRecordParts, Invalid> {
+fn decode_pergam(message: &layout::Pergam) -> Result<TrainingRecordParts, Invalid> {
     let numbers = doubles(&message.gaussians_bits);
     let (gaussians, []) = numbers.as_chunks::<3>() else { return Err(INVALID) };
     let gaussian =
@@ -80,10 +83,10 @@ fn decode_pergam(message: &v1::Pergam) -> Result<TrainingRecordParts, Invalid> {
     with_training(TrainedModelParts::Pergam(model), message.training.as_ref())
 }
 
-fn encode_poisson(training: Option<v1::Training>, model: &CountRateParts) -> v1::Poisson {
+fn encode_poisson(training: Option<layout::Training>, model: &CountRateParts) -> layout::Poisson {
     let CountRateParts { bins, readings_per_bin, .. } = model;
     let gammas: Vec<f64> = bins.components.iter().flat_map(|one| [one.gamma_re, one.gamma_im]).collect();
-    v1::Poisson {
+    layout::Poisson {
         training,
         bin_nanos: bins.bin_nanos,
         rate_bits: bits(&[bins.mean, bins.floor, *readings_per_bin]),
@@ -92,7 +95,7 @@ fn encode_poisson(training: Option<v1::Training>, model: &CountRateParts) -> v1:
     }
 }
 
-fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Result<TrainingRecordParts, Invalid> {
+fn decode_poisson(message: &layout::Poisson, periodicities: &Periodicities) -> Result<TrainingRecordParts, Invalid> {
     let &[mean, floor, readings_per_bin] = doubles(&message.rate_bits).as_slice() else { return Err(INVALID) };
     let gammas = doubles(&message.gammas_bits);
     let (gammas, []) = gammas.as_chunks::<2>() else { return Err(INVALID) };
@@ -107,11 +110,14 @@ fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Resul
     with_training(TrainedModelParts::Poisson(model), message.training.as_ref())
 }
 
-fn encode_hypertime(training: Option<v1::Training>, model: &HypertimeParts) -> (HypertimeMethod, v1::Hypertime) {
+fn encode_hypertime(
+    training: Option<layout::Training>,
+    model: &HypertimeParts,
+) -> (HypertimeMethod, layout::Hypertime) {
     let clusters = |clusters: &[HypertimeCluster]| clusters.iter().map(encode_cluster).collect();
     match model {
         HypertimeParts::Probability(odds) => {
-            let message = v1::Hypertime {
+            let message = layout::Hypertime {
                 training,
                 divisors: divisors(&odds.periods),
                 cycle_nanos: cycles(&odds.periods),
@@ -126,7 +132,7 @@ fn encode_hypertime(training: Option<v1::Training>, model: &HypertimeParts) -> (
         HypertimeParts::Continuous(field) => {
             // A model of the value only, without a location.
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
-            let message = v1::Hypertime {
+            let message = layout::Hypertime {
                 training,
                 divisors: divisors(&field.periods),
                 cycle_nanos: cycles(&field.periods),
@@ -141,8 +147,8 @@ fn encode_hypertime(training: Option<v1::Training>, model: &HypertimeParts) -> (
     }
 }
 
-fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<TrainingRecordParts, Invalid> {
-    let clusters = |clusters: &[v1::Cluster]| clusters.iter().map(decode_cluster).collect();
+fn decode_hypertime(method: HypertimeMethod, message: &layout::Hypertime) -> Result<TrainingRecordParts, Invalid> {
+    let clusters = |clusters: &[layout::Cluster]| clusters.iter().map(decode_cluster).collect();
     let periods = periods(&message.divisors, &message.cycle_nanos)?;
     let model = match (doubles(&message.odds_bits).as_slice(), doubles(&message.axis_bits).as_slice()) {
         (&[mean, background, log_ones, log_zeros], []) => HypertimeParts::Probability(HypertimeOddsParts {
@@ -184,8 +190,8 @@ fn periods(divisors: &[u32], cycles: &[i64]) -> Result<Vec<HypertimePeriod>, Inv
     Ok(divisors.iter().zip(cycles).map(period).collect())
 }
 
-fn encode_cluster(cluster: &HypertimeCluster) -> v1::Cluster {
-    v1::Cluster {
+fn encode_cluster(cluster: &HypertimeCluster) -> layout::Cluster {
+    layout::Cluster {
         weight_bits: cluster.weight.to_bits(),
         centre_bits: bits(&cluster.centre),
         factor_bits: bits(&cluster.factor),
@@ -194,7 +200,7 @@ fn encode_cluster(cluster: &HypertimeCluster) -> v1::Cluster {
     }
 }
 
-fn decode_cluster(message: &v1::Cluster) -> HypertimeCluster {
+fn decode_cluster(message: &layout::Cluster) -> HypertimeCluster {
     HypertimeCluster {
         weight: f64::from_bits(message.weight_bits),
         centre: doubles(&message.centre_bits),
@@ -227,7 +233,7 @@ mod tests {
         let records =
             [TrainingRecordParts { model: TrainedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
         assert_eq!(decode(&encode(&records), &periodicities), Ok(records.to_vec()));
-        let mut message = v1::TrainedModels::decode(encode(&records).as_slice()).expect("a message");
+        let mut message = layout::TrainedModels::decode(encode(&records).as_slice()).expect("a message");
         message.poisson.as_mut().expect("it is there").gammas_bits.pop();
         assert_eq!(decode(&message.encode_to_vec(), &periodicities), Err(INVALID));
     }
@@ -250,13 +256,13 @@ mod tests {
         }
     }
 
-    fn stored(record: &TrainingRecordParts) -> v1::Hypertime {
-        let message = v1::TrainedModels::decode(encode(std::slice::from_ref(record)).as_slice()).expect("a record");
+    fn stored(record: &TrainingRecordParts) -> layout::Hypertime {
+        let message = layout::TrainedModels::decode(encode(std::slice::from_ref(record)).as_slice()).expect("a record");
         message.hypertime_em.expect("the model")
     }
 
-    fn read(model: v1::Hypertime) -> Result<Vec<TrainingRecordParts>, Invalid> {
-        let message = v1::TrainedModels { hypertime_em: Some(model), ..v1::TrainedModels::default() };
+    fn read(model: layout::Hypertime) -> Result<Vec<TrainingRecordParts>, Invalid> {
+        let message = layout::TrainedModels { hypertime_em: Some(model), ..layout::TrainedModels::default() };
         decode(&message.encode_to_vec(), &Periodicities::default())
     }
 
@@ -277,6 +283,6 @@ mod tests {
             assert_eq!(read(stored(&hypertime(1.5, periods))), Ok(vec![hypertime(1.5, periods)]));
         }
         let both = stored(&hypertime(1.5, &[DAY, YEAR]));
-        assert_eq!(read(v1::Hypertime { cycle_nanos: vec![WEEK_NANOS], ..both }), Err(INVALID));
+        assert_eq!(read(layout::Hypertime { cycle_nanos: vec![WEEK_NANOS], ..both }), Err(INVALID));
     }
 }

@@ -3,7 +3,7 @@
 //! Invariant: a record is used only if its header, its kind and its checksum are valid.
 
 use prost::Message;
-use tidemap_migrations::v1::file::{RECORD_HEADER_LENGTH, RecordHeader, RecordKind};
+use tidemap_layout::file::{RECORD_HEADER_LENGTH, RecordHeader, RecordKind};
 
 use super::{LAST, split_piece};
 use crate::{disk::DiskReader, failure::ReadFailure};

@@ -9,15 +9,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::spec::MapSpec;
-use tidemap_migrations::{
-    v1::{
-        file::{FileHeader, MAP_MAGIC, RecordKind},
-        lists::{CHECKPOINTS_FILE, CheckpointList, FileList, HISTORY_FILE, MAPS_FILE, MapList},
-        map as v1,
-    },
-    v3::SHARED_FILE,
+use tidemap_layout::{
+    cluster::SHARED_FILE,
+    file::{FileHeader, MAP_MAGIC, RecordKind},
+    lists::{CHECKPOINTS_FILE, CheckpointList, FileList, HISTORY_FILE, MAPS_FILE, MapList},
+    map as layout,
 };
+use tidemap_map::spec::MapSpec;
 
 use crate::{
     MapId,
@@ -197,7 +195,7 @@ pub(crate) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapS
 
 fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, ReadFailure> {
     let mut reader = RecordReader::open(disk, file, MAP_MAGIC, map.0)?;
-    let message: v1::MapSpec = reader.record(RecordKind::Spec)?;
+    let message: layout::MapSpec = reader.record(RecordKind::Spec)?;
     reader.finish()?;
     Ok(record::spec::decode(message)?)
 }

@@ -5,8 +5,8 @@
 
 use std::{io, path::Path, sync::PoisonError};
 
+use tidemap_layout::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
 use tidemap_map::{erasure::Selection, ids::StateId};
-use tidemap_migrations::v1::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
 
 use super::Store;
 use crate::{

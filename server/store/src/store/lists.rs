@@ -11,8 +11,8 @@ use std::{
     sync::Arc,
 };
 
+use tidemap_layout::lists::{FileList, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment};
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::lists::{FileList, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment};
 
 use super::catalogue::Catalogue;
 use crate::{

@@ -10,11 +10,11 @@ use std::{
     thread,
 };
 
+use tidemap_layout::lists::MAPS_FILE;
 use tidemap_migrations::{
     FORMAT,
     manifest::{self, Manifest, ManifestError},
     plan::{self, MigrateError, STEPS},
-    v1::lists::MAPS_FILE,
 };
 
 use super::{Lock, MapEntry, Maps, OpenStore, Store, catalogue, lists, map_copy};

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::v1::index::{GENERATIONS, Mark, PRODUCERS, STATES, encode_value, map_key, part_key};
+use tidemap_layout::index::{GENERATIONS, Mark, PRODUCERS, STATES, encode_value, map_key, part_key};
 
 use super::example::{Example, fill, options, snapshot};
 use crate::{MapId, OpenedMap, Repair, Source, Store};

@@ -6,7 +6,9 @@ use std::{
     sync::{Arc, LazyLock, mpsc},
 };
 
+use prost::Message;
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_layout::site::TableRow;
 use tidemap_map::{
     event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, RefusalReason, StateId},
@@ -319,4 +321,13 @@ pub(crate) fn content(directory: &Path) -> Vec<(PathBuf, Option<Vec<u8>>)> {
 /// The only segment of the example's log.
 pub(crate) fn segment(directory: &Path) -> PathBuf {
     directory.join("maps/00000001/log/00000000000000000001.log")
+}
+
+/// The rows of a site, one of them changed.
+pub(super) fn spoiled<M: Message + Default>(rows: &[TableRow], number: usize, spoil: impl Fn(&mut M)) -> Vec<TableRow> {
+    let mut rows = rows.to_vec();
+    let mut row = M::decode(&rows[number].row[..]).expect("a row");
+    spoil(&mut row);
+    rows[number].row = row.encode_to_vec();
+    rows
 }

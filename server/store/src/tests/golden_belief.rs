@@ -1,11 +1,10 @@
-//! The bytes of what is known about a state's newest reading. They were added to format 1 as optional fields, so the
-//! data directory of `golden.rs` has none. A difference here means that existing data cannot be read any more.
+//! The bytes of what is known about a state's newest reading, and what of them is refused.
 
 use std::sync::Arc;
 
 use prost::Message as _;
+use tidemap_layout::map::State;
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_migrations::v1::map::State;
 use tidemap_model::{Belief, BeliefParts, GapCountParts, OpenDwell, Recent, RecentSpan, StateKind, StateModel};
 
 use super::golden_states::{alternatives, spec, state};
@@ -44,7 +43,7 @@ fn spans() -> Vec<RecentSpan> {
     vec![span(1_699_999_000_000_000_000, 60_500, 2, 7), span(1_700_000_000_000_000_000, 0, 1, 0)]
 }
 
-fn known() -> StateSnapshot {
+pub(super) fn known() -> StateSnapshot {
     let plain = state("door", alternatives(None));
     let model = StateModel::clone(&plain.model).with_belief(belief());
     StateSnapshot { model: Arc::new(model), recent: Recent::from_spans(&spans()).expect("valid"), ..plain }
@@ -69,7 +68,7 @@ fn wrong_beliefs_are_refused() {
         change(&mut message);
         decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint).is_err()
     };
-    let changes: [&dyn Fn(&mut tidemap_migrations::v1::map::Belief); 5] = [
+    let changes: [&dyn Fn(&mut tidemap_layout::map::Belief); 5] = [
         &|belief| belief.numbers.truncate(80),
         &|belief| belief.dwells.truncate(1),
         &|belief| belief.seen.truncate(8),

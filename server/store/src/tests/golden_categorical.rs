@@ -1,7 +1,7 @@
-//! The bytes of categorical states, in the log and in checkpoints. They were added to format 1 as a kind of new states,
-//! and as a kind of states of a snapshot. A difference here means that existing data cannot be read any more.
+//! The bytes of categorical states, in the log and in checkpoints, and what of them is refused.
 
 use prost::Message as _;
+use tidemap_layout::{event::NewState as NewStateRecord, map::State};
 use tidemap_map::{
     event::{Event, NewState, StateKind},
     ids::StateId,
@@ -9,7 +9,6 @@ use tidemap_map::{
     site::Site,
     snapshot::StateSnapshot,
 };
-use tidemap_migrations::v1::{event::NewState as NewStateRecord, map::State};
 
 use super::golden_states::{alternatives, spec, state};
 use crate::record::{
@@ -17,7 +16,7 @@ use crate::record::{
     snapshot::{SpectrumIn, decode_state, encode_state},
 };
 
-fn categorical() -> NewState {
+pub(super) fn categorical() -> NewState {
     let name = StateName::new("activity").expect("valid");
     let labels = ["sleep", "eat"].map(|label| name.label(label).expect("valid")).to_vec();
     NewState::categorical(StateId(3), name, labels).expect("two labels")
@@ -42,7 +41,7 @@ fn labels_in_the_log_are_written_as_they_always_were_and_come_back() {
     assert!(!is_read(NewStateRecord { name: "activity/sleep".to_owned(), ..message }));
 }
 
-fn label(name: &str) -> StateSnapshot {
+pub(super) fn label(name: &str) -> StateSnapshot {
     StateSnapshot {
         name: StateName::labelled(name).expect("valid"),
         kind: StateKind::Probability,
@@ -66,7 +65,7 @@ fn a_label_in_a_checkpoint_is_a_kind_of_its_own() {
 #[test]
 fn a_snapshot_has_whole_categorical_states_or_is_not_believed() {
     let is_sound = |states: Vec<StateSnapshot>| {
-        let message = tidemap_migrations::v1::map::Snapshot { states: states.len() as u32, ..Default::default() };
+        let message = tidemap_layout::map::Snapshot { states: states.len() as u32, ..Default::default() };
         record::snapshot::decode(&message, Vec::new(), states, Site::default()).is_ok()
     };
     let of_names = |names: &[&str]| {

@@ -5,14 +5,15 @@ use std::sync::Arc;
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
-        UpdateCause, UpdateStart,
+        Digest, Dimensions, Envelope, Epoch, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind,
+        StateShape, UpdateCause, UpdateDone, UpdateStart,
     },
     ids::{ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
     snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
+    task::TaskRuns,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, NodePose, TopologyEdit},
     traversal::EdgeFailure,
 };
@@ -21,7 +22,7 @@ use tidemap_model::{
     Persistence, PersistenceParts, Recent, SpectralModel, StateModel, Zone,
 };
 
-use super::golden::Golden;
+use super::{golden::Golden, golden_categorical, landmarks, tasks};
 
 fn spec() -> MapSpec {
     MapSpec {
@@ -73,13 +74,13 @@ fn events() -> Vec<Event> {
     };
     let floats = Observations { values: vec![0.25; 3], ..second.clone() };
     let cut_nanos = 1_700_000_050_000_000_000;
-    let traversals = Observations { failures: vec![failure()], ..floats.clone() };
+    let reports = Observations { failures: vec![failure()], runs: vec![tasks::run()], ..floats.clone() };
     let mut events = vec![
         Event::Observations(envelope, first),
         Event::Observations(later.clone(), second),
         Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::DataTime }),
         Event::Observations(later.clone(), floats),
-        Event::Observations(later, traversals),
+        Event::Observations(later, reports),
     ];
     let shapes = [
         StateShape::Scalar(StateKind::Continuous),
@@ -90,7 +91,11 @@ fn events() -> Vec<Event> {
     ];
     let add = |(id, shape): (u32, StateShape)| NewState::sampled(StateId(id), named(shape.name()), shape);
     events.extend((2..).zip(shapes).map(add).map(Event::AddState));
+    events.push(Event::AddState(NewState { id: StateId(10), ..golden_categorical::categorical() }));
     events.extend(edits().into_iter().map(Event::EditSite));
+    let epoch = Epoch { epoch: 300, writer: "d1".to_owned(), version: "0.1.0".to_owned(), maths: 2 };
+    let done = UpdateDone { generation: 7, digest: Digest(0x0102_0304_0506_0708), maths: 1 };
+    events.extend([Event::Epoch(epoch), Event::UpdateDone(done), Event::ForgetProducers(vec![ProducerId(0)])]);
     events.extend(
         [UpdateCause::Request, UpdateCause::Midnight, UpdateCause::PendingLimit]
             .map(|cause| Event::UpdateStart(UpdateStart { generation: 2, cut_nanos: -cut_nanos, cause })),
@@ -111,7 +116,7 @@ fn failure() -> EdgeFailure {
     }
 }
 
-/// One edit of every kind. After all of them the site holds something of almost every kind.
+/// One edit of every kind. After all of them every table of the site has rows.
 fn edits() -> Vec<SiteEdit> {
     let pose = NodePose { x_m: 1.5, y_m: -2.0, yaw_rad: 0.75 };
     let node = |name: &str| NewNode { name: named(name), pose: Some(pose), dwell_secs: Some(12.5) };
@@ -148,7 +153,13 @@ fn edits() -> Vec<SiteEdit> {
         visit(true, 1_700_000_000_000_000_000),
         visit(false, 1_700_000_060_000_000_000),
     ];
-    site.into_iter().chain(topology.map(SiteEdit::Topology)).collect()
+    let place = |name| TopologyEdit::AddNode(bare(name));
+    let way = NewEdge { ends: EdgeEnds::link(named("a"), named("b")), extent: Extent::metres(5.0) };
+    let places = [place("a"), place("b"), TopologyEdit::AddEdge(way)];
+    let edits = site.into_iter().chain(topology.into_iter().chain(places).map(SiteEdit::Topology));
+    // The first edit of the landmarks loads their places, which are here already.
+    let edits = edits.chain(landmarks::edits().into_iter().skip(1));
+    edits.chain(tasks::edits().into_iter().map(SiteEdit::Task)).chain([tasks::area()]).collect()
 }
 
 fn site() -> Site {
@@ -157,7 +168,10 @@ fn site() -> Site {
         site.apply(&edit, 2).expect("valid");
     }
     site.add_failures(&[failure()]);
-    site
+    let mut runs = TaskRuns::default();
+    runs.add(tasks::run());
+    let tasks = site.tasks().clone().with_runs(runs);
+    site.with_tasks(tasks)
 }
 
 fn snapshot() -> MapSnapshot {
@@ -225,5 +239,5 @@ fn snapshot() -> MapSnapshot {
 }
 
 pub(super) fn map() -> Golden {
-    Golden { spec: spec(), events: events(), snapshot: snapshot(), rows: 0xFB57_E86C }
+    Golden { spec: spec(), events: events(), snapshot: snapshot(), rows: 0xCF60_4055 }
 }

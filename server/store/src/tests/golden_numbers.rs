@@ -1,9 +1,8 @@
-//! The bytes of the ensemble of a state that is no probability. They were added to format 1 as an optional field, so
-//! the data directory of `golden.rs` has none. A difference here means that existing data cannot be read any more.
+//! The bytes of the ensemble of a state that is no probability, and what of them is refused.
 
 use prost::Message as _;
+use tidemap_layout::{ensemble::NumberEnsemble, map::State};
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_migrations::v1::{ensemble::NumberEnsemble, map::State};
 use tidemap_model::{Alternatives, LocalDay, NumberEnsembleParts, StateKind};
 
 use super::golden_states::{alternatives, spec, state_of};
@@ -12,7 +11,7 @@ use crate::record::snapshot::{SpectrumIn, decode_state, encode_state};
 /// How many numbers an ensemble has.
 const NUMBERS: u16 = 2079;
 
-fn known() -> StateSnapshot {
+pub(super) fn known() -> StateSnapshot {
     let day = |day| LocalDay(20_300 + day);
     let numbers = NumberEnsembleParts {
         last_day: Some(day(40)),

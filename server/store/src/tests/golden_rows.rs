@@ -1,20 +1,19 @@
-//! The bytes of how a state is reported, in the log and in checkpoints. It was added to format 1 as optional fields, so
-//! the data directory of `golden.rs` has none. A difference here means that existing data cannot be read any more.
+//! The bytes of how a state is reported, in the log and in checkpoints, and what of them is refused.
 
 use std::sync::Arc;
 
 use prost::Message as _;
+use tidemap_layout::{
+    event::NewState as NewStateRecord,
+    map::State,
+    rows::{Reporting as ReportingRecord, Rows},
+};
 use tidemap_map::{
     event::{Event, Hold, NewState, Reporting, StateKind, StateShape},
     ids::{ProducerId, StateId},
     live_state::NewestRow,
     name::StateName,
     snapshot::StateSnapshot,
-};
-use tidemap_migrations::v1::{
-    event::NewState as NewStateRecord,
-    map::State,
-    rows::{Reporting as ReportingRecord, Rows},
 };
 use tidemap_model::{LearnedRows, StateModel};
 
@@ -28,7 +27,7 @@ fn reporting() -> Reporting {
     Reporting::Changes(Hold::new(86_400, 60).expect("a hold"))
 }
 
-fn known() -> StateSnapshot {
+pub(super) fn known() -> StateSnapshot {
     let plain = state("door", alternatives(None));
     let learned = LearnedRows {
         rows: 12,

@@ -1,19 +1,17 @@
-//! The bytes of the sensor that was stated for a state, in the log and in checkpoints. It was added to format 1 as an
-//! optional field, so the data directory of `golden.rs` has none. A difference here means that existing data cannot be
-//! read any more.
+//! The bytes of the sensor that was stated for a state, in the log and in checkpoints, and what of them is refused.
 
 use std::sync::Arc;
 
 use prost::Message as _;
+use tidemap_layout::{
+    event::NewState as NewStateRecord,
+    map::{Sensor, State},
+};
 use tidemap_map::{
     event::{Event, NewState, Reporting, StateShape},
     ids::StateId,
     name::StateName,
     snapshot::StateSnapshot,
-};
-use tidemap_migrations::v1::{
-    event::NewState as NewStateRecord,
-    map::{Sensor, State},
 };
 use tidemap_model::{StateModel, StateSensor};
 
@@ -27,7 +25,7 @@ fn sensor() -> StateSensor {
     StateSensor::new(0.75, 0.125).expect("a sensor")
 }
 
-fn known() -> StateSnapshot {
+pub(super) fn known() -> StateSnapshot {
     let plain = state("door", alternatives(None));
     let model = StateModel::clone(&plain.model).with_sensor(sensor());
     StateSnapshot { model: Arc::new(model), ..plain }

@@ -1,8 +1,7 @@
-//! The bytes of the records of shared logs, which format 3 added. A difference here means that existing data cannot be
-//! read any more.
+//! The bytes of the records of shared logs.
 
+use tidemap_layout::log::FrameKind;
 use tidemap_map::event::{Digest, Epoch, Event, UpdateDone};
-use tidemap_migrations::v1::log::FrameKind;
 
 use crate::record::event;
 

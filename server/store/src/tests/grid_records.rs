@@ -9,8 +9,8 @@ use tidemap_grid::{
     mask::{Mask, TileMasks},
     tile::TileSums,
 };
+use tidemap_layout as layout;
 use tidemap_map::history::origins::Origins;
-use tidemap_migrations::v1;
 use tidemap_model::Sample;
 
 use super::grid_example::{day, learned, live_tile, masks, piece, spec};
@@ -129,10 +129,10 @@ proptest! {
 fn counts_that_nothing_stands_behind_are_refused() {
     let longest = vec![0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01];
     let tile = |flips: &[u8], in_order: &[u8]| {
-        let message = v1::grid::DayTileScans {
+        let message = layout::grid::DayTileScans {
             flips: flips.to_vec(),
             flips_in_order: in_order.to_vec(),
-            ..v1::grid::DayTileScans::default()
+            ..layout::grid::DayTileScans::default()
         };
         day_record::decode_tile(&message, 10)
     };
@@ -145,13 +145,13 @@ fn counts_that_nothing_stands_behind_are_refused() {
     assert!(tile(&[], &[0, 0x80, 0x08]).is_err(), "a cell beyond the tile");
     let day = |scans, presence: &[u8]| {
         let offset_counts = vec![scans];
-        let message = v1::grid::Day {
+        let message = layout::grid::Day {
             scans,
             offset_counts,
             offset_secs: vec![0],
             times: vec![0],
             presence: presence.to_vec(),
-            ..v1::grid::Day::default()
+            ..layout::grid::Day::default()
         };
         day_record::decode(&message, 5, |_| true)
     };
@@ -160,7 +160,8 @@ fn counts_that_nothing_stands_behind_are_refused() {
     assert!(day(7, &[6, 1, 0, 4]).is_err(), "a scan that saw nothing");
     assert!(day(7, &[0, 0, 7, 0]).is_err(), "a run of nothing");
     assert!(day(u32::MAX, &[0xFF, 0xFF, 0xFF, 0xFF, 0x0F, 0]).is_err(), "more scans than there may be");
-    let models = v1::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
+    let models =
+        layout::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
     assert!(history::decode_samples(&models).is_err());
     assert!(
         history::encode_samples(
@@ -175,7 +176,7 @@ fn counts_that_nothing_stands_behind_are_refused() {
         let (run_counts, run_steps) = (run_counts.to_vec(), vec![1; steps]);
         let run_producers = vec![0; run_counts.len()];
         let message =
-            v1::history::StateSamples { count: 5, run_counts, run_producers, run_steps, ..Default::default() };
+            layout::history::StateSamples { count: 5, run_counts, run_producers, run_steps, ..Default::default() };
         history::decode_origins(&message)
     };
     assert!(origins(&[3, 2], 2).is_ok());

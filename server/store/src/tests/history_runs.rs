@@ -7,6 +7,7 @@ use std::sync::Arc;
 use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 use tidemap_grid::spec::Retention;
+use tidemap_layout::{event::VALUES_BITS, history::StateSamples};
 use tidemap_map::{
     history::{
         HistoryPiece,
@@ -16,7 +17,6 @@ use tidemap_map::{
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
-use tidemap_migrations::v1::{event::VALUES_BITS, history::StateSamples};
 use tidemap_model::Sample;
 
 use super::{

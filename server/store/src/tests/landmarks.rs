@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use prost::Message as _;
+use tidemap_layout::landmark::LandmarksAtPlace;
 use tidemap_map::{
     event::Event,
     landmark::{Descriptor, ImageFeature, Landmark, LandmarkEdit, LandmarkKind},
@@ -13,8 +14,11 @@ use tidemap_map::{
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
 };
 
-use super::example::{append, options, snapshot, spec};
-use crate::{MapId, Source, Store, record};
+use super::example::{append, options, snapshot, spec, spoiled};
+use crate::{
+    MapId, Source, Store,
+    record::{self, tables},
+};
 
 fn name(text: &str) -> StateName {
     StateName::new(text).expect("valid")
@@ -25,7 +29,7 @@ fn feature(seed: u8) -> ImageFeature {
     ImageFeature { u_px: f64::from(seed) + 0.1, v_px: -7.5, descriptor }
 }
 
-fn edits() -> Vec<SiteEdit> {
+pub(super) fn edits() -> Vec<SiteEdit> {
     let node = |text| NewNode { name: name(text), pose: None, dwell_secs: None };
     let edge = NewEdge { ends: EdgeEnds::link(name("a"), name("b")), extent: Extent::metres(5.0) };
     let load = TopologyEdit::Load { nodes: ["a", "b"].map(node).to_vec(), edges: vec![edge], replaces: true };
@@ -76,11 +80,11 @@ fn edits_come_back_and_keep_their_bytes() {
         crc = crc32c::crc32c_append(crc, &payload);
     }
     let whole = with_site(snapshot(&spec("map"), 3, 2), &edits());
-    for place in record::landmark::encode_places(whole.site.landmarks()) {
-        crc = crc32c::crc32c_append(crc, &place.encode_to_vec());
+    for row in tables::rows(&whole.site) {
+        crc = crc32c::crc32c_append(crc, &row.encode_to_vec());
     }
-    // The bytes of format 2: a difference means that existing data folders cannot be read any more.
-    assert_eq!(crc, 0x6E31_AF3C, "{crc:#X}");
+    // A difference means that existing data folders cannot be read any more.
+    assert_eq!(crc, 0xFB2D_A54B, "{crc:#X}");
 }
 
 #[test]
@@ -116,21 +120,17 @@ fn checkpoint_and_index_have_the_landmarks_of_their_generation() {
 #[test]
 fn what_breaks_a_rule_of_the_table_is_refused() {
     let whole = with_site(snapshot(&spec("map"), 3, 2), &edits());
-    let message = record::site::encode(&whole.site).expect("something was told");
-    let bare = record::site::decode(&message, 2).expect("readable");
-    let places: Vec<_> = record::landmark::encode_places(whole.site.landmarks()).collect();
-    assert_eq!(record::landmark::decode_into(bare.clone(), &places).expect("readable"), *whole.site);
-    type Spoil = fn(&mut Vec<tidemap_migrations::v2::LandmarksAtPlace>);
-    let spoil: [Spoil; 5] = [
-        |places| places[0].node = Some(99),
-        |places| places[0].edge = Some(0),
-        |places| places[1].landmarks[0].along_bits = None,
-        |places| places[0].landmarks[0].marker = places[0].landmarks[1].marker.clone(),
-        |places| places[0].landmarks[1].marker.as_mut().expect("a marker").pose_bits.truncate(6),
+    let rows: Vec<_> = tables::rows(&whole.site).collect();
+    assert_eq!(tables::site(&rows, 2).expect("readable"), *whole.site);
+    let first = rows.iter().position(|row| row.table == 8).expect("landmarks");
+    let spoil: [(usize, fn(&mut LandmarksAtPlace)); 5] = [
+        (0, |place| place.node = Some(99)),
+        (0, |place| place.edge = Some(0)),
+        (1, |place| place.landmarks[0].along_bits = None),
+        (0, |place| place.landmarks[0].marker = place.landmarks[1].marker.clone()),
+        (0, |place| place.landmarks[1].marker.as_mut().expect("a marker").pose_bits.truncate(6)),
     ];
-    for (number, spoil) in spoil.into_iter().enumerate() {
-        let mut broken = places.clone();
-        spoil(&mut broken);
-        assert!(record::landmark::decode_into(bare.clone(), &broken).is_err(), "{number}");
+    for (number, (place, spoil)) in spoil.into_iter().enumerate() {
+        assert!(tables::site(&spoiled(&rows, first + place, spoil), 2).is_err(), "{number}");
     }
 }

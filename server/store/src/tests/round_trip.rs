@@ -5,6 +5,7 @@ use std::sync::Arc;
 use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{index::CellIndex, sensors::ProducerSensor};
+use tidemap_layout::{log::FrameKind, topology::Topology};
 use tidemap_map::{
     event::{
         Digest, Dimensions, Envelope, Epoch, Event, Hold, NewState, Observations, OffsetRun, Reporting, SequenceSpan,
@@ -18,11 +19,10 @@ use tidemap_map::{
     topology::{EdgeEnds, Extent, NewEdge, NewNode, NodePose, TopologyEdit},
     traversal::{EdgeFailure, kept_reason},
 };
-use tidemap_migrations::v1::log::FrameKind;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, StateSensor, Zone};
 
-use super::example::{snapshot, spec, state};
-use crate::record;
+use super::example::{snapshot, spec, spoiled, state};
+use crate::record::{self, tables};
 
 fn values() -> impl Strategy<Value = Vec<f64>> {
     let binary = prop_oneof![Just(0.0), Just(1.0)];
@@ -221,18 +221,17 @@ fn a_topological_map_comes_back_with_its_numbers() {
         replaces: true,
     });
     edit(TopologyEdit::RemoveNode(name("c")));
-    let message = record::site::encode(&site).expect("something was told");
-    let found = record::site::decode(&message, 0).expect("readable");
-    assert_eq!(found, site);
+    let come_back = |site: &Site| tables::site(&tables::rows(site).collect::<Vec<_>>(), 0).expect("readable");
+    assert_eq!(come_back(&site), site);
     // Removed items have used their numbers, even if nothing is left.
     let mut edit = |edit| site.apply(&SiteEdit::Topology(edit), 0).expect("valid");
     edit(TopologyEdit::Load { nodes: Vec::new(), edges: Vec::new(), replaces: true });
-    let message = record::site::encode(&site).expect("something was told");
-    assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
-    let mut broken = message.clone();
-    let topology = broken.topology.as_mut().expect("a map");
-    topology.nodes = vec![tidemap_migrations::v1::topology::Node { id: 9, name: "x".to_owned(), ..Default::default() }];
-    assert!(record::site::decode(&broken, 0).is_err(), "a number that was never given out");
+    assert_eq!(come_back(&site), site);
+    let rows: Vec<_> = tables::rows(&site).collect();
+    let broken = spoiled(&rows, 0, |topology: &mut Topology| {
+        topology.nodes = vec![tidemap_layout::topology::Node { id: 9, name: "x".to_owned(), ..Default::default() }];
+    });
+    assert!(tables::site(&broken, 0).is_err(), "a number that was never given out");
 }
 
 fn edit_site() -> impl Strategy<Value = Event> {
@@ -346,7 +345,7 @@ proptest! {
         let state = StateSnapshot { kind, persistence, model: Arc::new(model), ..of_unit };
         let message = record::snapshot::encode_state(7, &state, state.model.accumulator().to_parts());
         prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
-        let as_probability = tidemap_migrations::v1::map::State { kind: 0, ..message };
+        let as_probability = tidemap_layout::map::State { kind: 0, ..message };
         prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());
     }
 
@@ -375,7 +374,7 @@ proptest! {
 fn a_model_that_is_not_known_is_refused() {
     let message = record::spec::encode(&super::example::spec("office"));
     for models in [64, 3 | 64, u32::MAX] {
-        let message = tidemap_migrations::v1::map::MapSpec { models, ..message.clone() };
+        let message = tidemap_layout::map::MapSpec { models, ..message.clone() };
         assert_eq!(record::spec::decode(message), Err(format!("models {models} are not all known")));
     }
 }
@@ -385,8 +384,7 @@ fn a_snapshot_comes_back_from_its_parts() {
     let spec = super::example::spec("office");
     let snapshot = snapshot(&spec, 15, 4);
     let message = record::snapshot::encode(&snapshot);
-    let site = record::site::encode(&snapshot.site).expect("something was told");
-    let site = record::site::decode(&site, 4).expect("readable");
+    let site = tables::site(&tables::rows(&snapshot.site).collect::<Vec<_>>(), 4).expect("readable");
     let (producers, states) = (|| snapshot.producers.clone(), || snapshot.states.clone());
     let found = record::snapshot::decode(&message, producers(), states(), site.clone());
     assert_eq!(found.as_ref(), Ok(&snapshot));

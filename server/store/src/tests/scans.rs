@@ -9,16 +9,16 @@ use tidemap_grid::{
     index::TileId,
     scan::{CellRef, LoggedScan, Scans},
 };
+use tidemap_layout::{event as layout, log::FrameKind};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan},
     ids::ProducerId,
 };
-use tidemap_migrations::v1::{self, log::FrameKind};
 
 use super::grid_example::scans;
 use crate::{SCANS_MAX, record};
 
-fn decode(message: &v1::event::Scans) -> Result<Event, &'static str> {
+fn decode(message: &layout::Scans) -> Result<Event, &'static str> {
     record::event::decode(FrameKind::Scans, &message.encode_to_vec())
 }
 
@@ -123,9 +123,9 @@ fn what_could_not_be_read_back_is_refused() {
 
 #[test]
 fn counts_that_nothing_stands_behind_are_refused() {
-    let good = v1::event::Scans { last_sequence: 1, ..v1::event::Scans::default() };
+    let good = layout::Scans { last_sequence: 1, ..layout::Scans::default() };
     assert!(decode(&good).is_ok());
-    let one = v1::event::Scans {
+    let one = layout::Scans {
         count: 1,
         offset_counts: vec![1],
         offset_secs: vec![0],
@@ -136,16 +136,16 @@ fn counts_that_nothing_stands_behind_are_refused() {
     assert!(decode(&one).is_ok());
     let longest = vec![0xFF, 0xFF, 0xFF, 0xFF, 0x0F];
     for bad in [
-        v1::event::Scans { count: u32::MAX, offset_counts: vec![u32::MAX], ..one.clone() },
-        v1::event::Scans { observed_counts: longest.clone(), ..one.clone() },
-        v1::event::Scans { occupied_counts: longest.clone(), occupied_flips: vec![1], ..one.clone() },
+        layout::Scans { count: u32::MAX, offset_counts: vec![u32::MAX], ..one.clone() },
+        layout::Scans { observed_counts: longest.clone(), ..one.clone() },
+        layout::Scans { occupied_counts: longest.clone(), occupied_flips: vec![1], ..one.clone() },
         // A set of four thousand million tiles, and one with as many ranges.
-        v1::event::Scans { seen: [&[0, 1, 0][..], &longest].concat(), ..one.clone() },
-        v1::event::Scans { seen: [&[0][..], &longest].concat(), ..one.clone() },
-        v1::event::Scans { seen: vec![1, 0], ..one.clone() },
-        v1::event::Scans { new_tiles: longest.clone(), ..one.clone() },
-        v1::event::Scans { offset_secs: vec![], ..one.clone() },
-        v1::event::Scans { observed_flips: vec![1], ..one.clone() },
+        layout::Scans { seen: [&[0, 1, 0][..], &longest].concat(), ..one.clone() },
+        layout::Scans { seen: [&[0][..], &longest].concat(), ..one.clone() },
+        layout::Scans { seen: vec![1, 0], ..one.clone() },
+        layout::Scans { new_tiles: longest.clone(), ..one.clone() },
+        layout::Scans { offset_secs: vec![], ..one.clone() },
+        layout::Scans { observed_flips: vec![1], ..one.clone() },
     ] {
         assert!(decode(&bad).is_err(), "{bad:?}");
     }
@@ -154,7 +154,7 @@ fn counts_that_nothing_stands_behind_are_refused() {
     seen.extend([0, 0].repeat(1000));
     let count = 1001;
     let column = vec![0];
-    let bomb = v1::event::Scans {
+    let bomb = layout::Scans {
         count,
         times: column.clone(),
         offset_counts: vec![count],

@@ -1,22 +1,24 @@
 //! Tasks, kept plans, reports and no-go areas come back from their records; what is not valid is refused.
 
+use tidemap_layout::task::TaskBook;
 use tidemap_map::{
     event::{Envelope, Event, Observations, OffsetRun, SequenceSpan},
     ids::{ProducerId, StateId},
     name::TaskName,
     no_go::NoGoEdit,
     site::{Site, SiteEdit},
-    task::{KeptPlan, KeptStep, KeptWork, RobotTask, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
+    task::{KeptPlan, KeptStep, KeptWork, RobotTask, TaskDays, TaskEdit, TaskRun, TaskRuns},
 };
 use tidemap_model::LocalDay;
 
-use crate::record;
+use super::example::spoiled;
+use crate::record::{self, tables};
 
 fn name() -> TaskName {
     TaskName::new("clean", "hall").expect("valid")
 }
 
-fn run() -> TaskRun {
+pub(super) fn run() -> TaskRun {
     TaskRun {
         name: name(),
         start_nanos: 1_700_000_000_000_000_000,
@@ -27,7 +29,7 @@ fn run() -> TaskRun {
     }
 }
 
-fn edits() -> Vec<TaskEdit> {
+pub(super) fn edits() -> Vec<TaskEdit> {
     let daily = RobotTask {
         name: name(),
         from_secs: 28_800,
@@ -65,7 +67,7 @@ fn edits() -> Vec<TaskEdit> {
     ]
 }
 
-fn area() -> SiteEdit {
+pub(super) fn area() -> SiteEdit {
     let corners = vec![[0.0, -0.0], [1.0 / 3.0, 0.0], [0.5, 7.0]];
     SiteEdit::NoGo(NoGoEdit::Set(name().node, corners))
 }
@@ -110,26 +112,25 @@ fn a_site_comes_back_with_its_tasks() {
     runs.add(run());
     let tasks = site.tasks().clone().with_runs(runs);
     let site = site.with_tasks(tasks);
-    let message = record::site::encode(&site).expect("it has tasks");
-    assert_eq!(record::site::decode(&message, 0), Ok(site));
+    let rows: Vec<_> = tables::rows(&site).collect();
+    assert_eq!(tables::site(&rows, 0), Ok(site));
 
-    let broken = |change: &dyn Fn(&mut tidemap_migrations::v1::task::TaskBook)| {
-        let mut broken = message.clone();
-        change(broken.tasks.as_mut().expect("tasks"));
-        record::site::decode(&broken, 0).expect_err("not valid")
+    // The row of the no-go area is the first.
+    let broken = |change: fn(&mut TaskBook)| {
+        tables::site(&spoiled(&rows, 1, change), 0).expect_err("not valid");
     };
-    broken(&|book| book.tasks[0].node = "a/b".to_owned());
-    broken(&|book| book.tasks[0].weekdays = 1_000);
-    broken(&|book| book.tasks[0].until_secs = 0);
-    broken(&|book| book.plans[0].steps[1].departure_nanos = 2);
-    broken(&|book| book.runs[0].duration_nanos = -1);
-    broken(&|book| book.runs[0].reason = "a\nb".to_owned());
+    broken(|book| book.tasks[0].node = "a/b".to_owned());
+    broken(|book| book.tasks[0].weekdays = 1_000);
+    broken(|book| book.tasks[0].until_secs = 0);
+    broken(|book| book.plans[0].steps[1].departure_nanos = 2);
+    broken(|book| book.runs[0].duration_nanos = -1);
+    broken(|book| book.runs[0].reason = "a\nb".to_owned());
 }
 
 #[test]
-fn a_site_without_tasks_has_no_record_of_them() {
+fn a_site_without_tasks_has_no_row_of_them() {
     let mut site = Site::default();
     site.apply(&SiteEdit::Charger(Some([1.0, 2.0])), 0).expect("valid");
-    assert_eq!(record::site::encode(&site).expect("a charger").tasks, None);
-    assert_eq!(*site.tasks(), TaskBook::default());
+    let of_charger: Vec<_> = tables::rows(&site).map(|row| row.table).collect();
+    assert_eq!(of_charger, [1]);
 }

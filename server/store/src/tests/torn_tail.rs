@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use tidemap_migrations::v1::log::{FrameHeader, SEGMENT_HEADER_LENGTH};
+use tidemap_layout::log::{FrameHeader, SEGMENT_HEADER_LENGTH};
 
 use super::example::{Example, content, copy, fill, segment};
 use crate::{Mode, OpenError, Repair, check};

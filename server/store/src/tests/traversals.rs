@@ -1,8 +1,10 @@
 //! Failed traversals are read as they were written.
 
+use tidemap_layout::site::FailedTraversals;
 use tidemap_map::{name::EdgeName, site::Site, traversal::EdgeFailure};
 
-use crate::record;
+use super::example::spoiled;
+use crate::record::tables;
 
 #[test]
 fn failed_traversals_come_back_in_their_order() {
@@ -15,15 +17,11 @@ fn failed_traversals_come_back_in_their_order() {
         reason: reason.to_owned(),
     };
     site.add_failures(&[failure(7, "late"), failure(3, "early"), failure(7, "later")]);
-    let message = record::site::encode(&site).expect("something was told");
-    assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
-    for spoil in
-        [(|failure| failure.from = "a/b".to_owned()) as fn(&mut tidemap_migrations::v1::site::EdgeFailure), |failure| {
-            failure.reason = "x".repeat(201);
-        }]
-    {
-        let mut broken = message.clone();
-        spoil(&mut broken.failures[1]);
-        assert!(record::site::decode(&broken, 0).is_err());
+    let rows: Vec<_> = tables::rows(&site).collect();
+    assert_eq!(tables::site(&rows, 0).expect("readable"), site);
+    let spoil: [fn(&mut FailedTraversals); 2] =
+        [|row| row.failures[1].from = "a/b".to_owned(), |row| row.failures[1].reason = "x".repeat(201)];
+    for spoil in spoil {
+        assert!(tables::site(&spoiled(&rows, 0, spoil), 0).is_err());
     }
 }

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{CHECKPOINT_MAGIC, FILE_HEADER_LENGTH, FileHeader, HISTORY_MAGIC, TRAILER_LENGTH, Trailer},
     log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
 };

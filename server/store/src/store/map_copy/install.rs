@@ -14,11 +14,11 @@ use std::{
     sync::{Arc, PoisonError},
 };
 
-use tidemap_map::spec::MapSpec;
-use tidemap_migrations::{
-    v1::lists::{CHECKPOINTS_FILE, NEWEST_FILE, NewestSegment},
-    v3::FORKS_FOLDER,
+use tidemap_layout::{
+    cluster::FORKS_FOLDER,
+    lists::{CHECKPOINTS_FILE, NEWEST_FILE, NewestSegment},
 };
+use tidemap_map::spec::MapSpec;
 
 use super::{ArrivedNames, CopiedFile, CopyError, CopyPart, CopyTotal, arriving::ArrivingFile, invalid};
 use crate::{

@@ -13,9 +13,9 @@ use std::{
     sync::{Arc, PoisonError},
 };
 
-use tidemap_migrations::v1::{
+use tidemap_layout::{
     file::{CHECKPOINT_MAGIC, RecordKind},
-    map as v1,
+    map as layout,
 };
 
 use super::{COPY_PART_BYTES, CopiedFile, CopyError, CopyPart, CopyTotal, cut_off};
@@ -87,7 +87,7 @@ fn newest_checkpoint(checkpoints: &Checkpoints<'_>) -> Result<Option<(PathBuf, u
     let found = positions.iter().rev().find_map(|&position| {
         let path = checkpoints.path(position);
         let mut reader = RecordReader::open(checkpoints.disk, &path, CHECKPOINT_MAGIC, checkpoints.map.0).ok()?;
-        let snapshot = reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?;
+        let snapshot = reader.record::<layout::Snapshot>(RecordKind::Snapshot).ok()?;
         Some((path, snapshot.replay_from.max(1)))
     });
     Ok(found)

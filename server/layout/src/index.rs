@@ -5,7 +5,7 @@
 //! | [`STATES`] | map u32, state u32, part u16 | part of a [`StateRow`] |
 //! | [`TILES`] | map u32, tile u32, part u16 | part of a [`super::grid::Tile`]: cells known, and their last values |
 //! | [`CELLS`] | map u32, tile u32, part u16 | part of a [`super::grid::TileModel`]: the models of a tile's cells |
-//! | [`SITES`] | map u32, 0 u32, part u16 | part of a [`super::site::Site`] |
+//! | [`TABLES`] | map u32, row u32, part u16 | part of a [`super::site::TableRow`] |
 //! | [`PRODUCERS`] | map u32, producer u32, part u16 | part of a [`super::map::Producer`] |
 //! | [`GENERATIONS`] | map u32 | [`Mark`] |
 //!
@@ -24,8 +24,8 @@ pub const STATES: &str = "published.states";
 pub const TILES: &str = "published.tiles";
 /// Name of the tree of the models of tiles.
 pub const CELLS: &str = "published.cells";
-/// Name of the tree of sites.
-pub const SITES: &str = "published.sites";
+/// Name of the tree of the rows of sites.
+pub const TABLES: &str = "published.tables";
 /// Name of the tree of producers.
 pub const PRODUCERS: &str = "published.producers";
 /// Name of the tree of marks.
@@ -94,8 +94,7 @@ pub struct Mark {
     /// Its grid, where the map has one.
     #[prost(message, optional, tag = "3")]
     pub grid: Option<GridMark>,
-    /// The rows of the trees of states, tiles, cells, sites and producers, in this order, and of
-    /// landmarks if there are any.
+    /// The rows of the trees of states, tiles, cells, tables and producers, in this order.
     #[prost(message, repeated, tag = "4")]
     pub totals: Vec<Total>,
 }

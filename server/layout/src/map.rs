@@ -141,12 +141,9 @@ pub struct Snapshot {
     /// Number of states.
     #[prost(uint32, tag = "7")]
     pub states: u32,
-    /// Whether a site follows.
-    #[prost(bool, tag = "8")]
-    pub has_site: bool,
-    /// How many places with landmarks follow the site; since format 2.
-    #[prost(uint32, tag = "9")]
-    pub landmark_places: u32,
+    /// How many rows of the site follow.
+    #[prost(uint32, tag = "8")]
+    pub table_rows: u32,
 }
 
 /// The sensor of a producer, if it differs from the map's own; or that of a state, where occupied means 1.

@@ -1,8 +1,8 @@
-//! Format 1, frozen: every byte that tidemap writes under this format number.
+//! The layout of a data folder, format 1: every byte that tidemap writes to the disk.
 //!
 //! | file in the data directory | layout |
 //! | --- | --- |
-//! | `MANIFEST` | text, [`manifest`](crate::manifest) |
+//! | `MANIFEST` | text, `manifest.rs` of `tidemap-migrations` |
 //! | `MAPS` | the maps, and the next unused number of a map: [`lists::MapList`] |
 //! | `LOSSES` | what was lost, and accepted as lost; only if there is any: [`lists::LossList`] |
 //! | `index/` | a sled 0.34 database, [`index`]; always rebuilt from checkpoints where it is not whole |
@@ -14,12 +14,13 @@
 //! | `HISTORY` | the history files: [`lists::FileList`] |
 //! | `ERASE` | what is to be erased; only until it is done: [`lists::ErasureOrder`] |
 //! | `ERASURES` | how often something was erased; only after the first time: [`lists::ErasureCount`] |
-//! | `log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`] and [`site`] messages |
+//! | `log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`], [`site`] and [`cluster`] messages |
 //! | `log/NEWEST` | the newest segment: [`lists::NewestSegment`] |
 //! | `checkpoints/00000000000000000007.tmc` | [`mod@file`]: [`map::Snapshot`], producers, [`map::State`]s, an |
-//! | | optional [`site::Site`] and, for a map with a grid, [`grid`] records |
+//! | | [`site::TableRow`]s and, for a map with a grid, [`grid`] records |
 //! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
+//! | `SHARED`, `forks/` | of a map of a cluster only: [`cluster`] |
 //!
 //! Every list of what must exist is there from the creation of what it lists, so that a list that is missing is a loss.
 //! Segments chain to each other, and a checkpoint names the record that it needs, so the newest segment is enough. A
@@ -29,16 +30,20 @@
 //! the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. Every byte is
 //! covered by a CRC-32C.
 //!
-//! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
+//! `tidemap-store` converts these messages to the types of the domain, and says what they mean. Invariant: from the first
+//! release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it. A new
+//! format freezes a copy of this one in `tidemap-migrations`, beside the step that leads to the new one.
 
 #![allow(missing_docs, reason = "fields whose name says it all")]
 
+pub mod cluster;
 pub mod ensemble;
 pub mod event;
 pub mod file;
 pub mod grid;
 pub mod history;
 pub mod index;
+pub mod landmark;
 pub mod lists;
 pub mod log;
 pub mod map;

@@ -1,28 +1,30 @@
-//! Tasks, kept plans and reports of tasks as messages, and back.
+//! Tasks, kept plans and reports of tasks on the disk: one row.
 //!
-//! Invariant: decoding gives the encoded value, bit by bit.
+//! Invariant: reading gives what was written, bit by bit.
 
+use tidemap_layout::task as layout;
 use tidemap_map::{
     name::{StateName, TaskName},
+    site::{Site, SiteEdit},
     task::{KeptPlan, KeptStep, KeptWork, RobotTask, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
     traversal::kept_reason,
 };
-use tidemap_migrations::v1::task as v1;
 use tidemap_model::LocalDay;
 
-use super::Invalid;
+use super::StoredTable;
+use crate::record::Invalid;
 
 fn decode_name(kind: &str, node: &str) -> Result<TaskName, Invalid> {
     TaskName::new(kind, node).map_err(|_| "the name of a task is not valid")
 }
 
-fn encode_task(task: &RobotTask) -> v1::Task {
+fn encode_task(task: &RobotTask) -> layout::Task {
     let RobotTask { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
     let (weekdays, day) = match *days {
         TaskDays::Weekly(days) => (u32::from(days), None),
         TaskDays::On(day) => (0, Some(day.0)),
     };
-    v1::Task {
+    layout::Task {
         kind: name.kind.as_str().to_owned(),
         node: name.node.as_str().to_owned(),
         from_secs: *from_secs,
@@ -36,8 +38,8 @@ fn encode_task(task: &RobotTask) -> v1::Task {
     }
 }
 
-fn decode_task(message: &v1::Task) -> Result<RobotTask, Invalid> {
-    let v1::Task { kind, node, from_secs, until_secs, duration_secs, weekdays, day, every_secs, .. } = message;
+fn decode_task(message: &layout::Task) -> Result<RobotTask, Invalid> {
+    let layout::Task { kind, node, from_secs, until_secs, duration_secs, weekdays, day, every_secs, .. } = message;
     let days = match (day, u8::try_from(*weekdays)) {
         (Some(day), _) => TaskDays::On(LocalDay(*day)),
         (None, Ok(days)) => TaskDays::Weekly(days),
@@ -60,12 +62,12 @@ fn decode_task(message: &v1::Task) -> Result<RobotTask, Invalid> {
     })
 }
 
-fn encode_step(step: &KeptStep) -> v1::PlanStep {
+fn encode_step(step: &KeptStep) -> layout::PlanStep {
     let (kind, place, worth, success) = match &step.work {
         KeptWork::Task { name, value, success } => (name.kind.as_str(), name.node.as_str(), *value, *success),
         KeptWork::Explore { place, information_bits } => ("", place.as_str(), *information_bits, 0.0),
     };
-    v1::PlanStep {
+    layout::PlanStep {
         departure_nanos: step.departure_nanos,
         travel_nanos: step.start_nanos.wrapping_sub(step.departure_nanos),
         duration_nanos: step.end_nanos.wrapping_sub(step.start_nanos),
@@ -76,7 +78,7 @@ fn encode_step(step: &KeptStep) -> v1::PlanStep {
     }
 }
 
-fn decode_step(message: &v1::PlanStep) -> Result<KeptStep, Invalid> {
+fn decode_step(message: &layout::PlanStep) -> Result<KeptStep, Invalid> {
     let (worth, success) = (f64::from_bits(message.worth_bits), f64::from_bits(message.success_bits));
     let start_nanos = message.departure_nanos.wrapping_add(message.travel_nanos);
     let work = if message.kind.is_empty() {
@@ -88,19 +90,19 @@ fn decode_step(message: &v1::PlanStep) -> Result<KeptStep, Invalid> {
     Ok(KeptStep { departure_nanos: message.departure_nanos, start_nanos, end_nanos, work })
 }
 
-fn encode_plan(plan: &KeptPlan) -> v1::Plan {
+fn encode_plan(plan: &KeptPlan) -> layout::Plan {
     let KeptPlan { day, made_nanos, steps } = plan;
-    v1::Plan { day: day.0, made_nanos: *made_nanos, steps: steps.iter().map(encode_step).collect() }
+    layout::Plan { day: day.0, made_nanos: *made_nanos, steps: steps.iter().map(encode_step).collect() }
 }
 
-fn decode_plan(message: &v1::Plan) -> Result<KeptPlan, Invalid> {
+fn decode_plan(message: &layout::Plan) -> Result<KeptPlan, Invalid> {
     let steps = message.steps.iter().map(decode_step).collect::<Result<_, _>>()?;
     Ok(KeptPlan { day: LocalDay(message.day), made_nanos: message.made_nanos, steps })
 }
 
-pub(super) fn encode_run(run: &TaskRun) -> v1::TaskRun {
+pub(in crate::record) fn encode_run(run: &TaskRun) -> layout::TaskRun {
     let TaskRun { name, start_nanos, end_nanos, success, intervention, reason } = run;
-    v1::TaskRun {
+    layout::TaskRun {
         kind: name.kind.as_str().to_owned(),
         node: name.node.as_str().to_owned(),
         start_nanos: *start_nanos,
@@ -111,8 +113,8 @@ pub(super) fn encode_run(run: &TaskRun) -> v1::TaskRun {
     }
 }
 
-pub(super) fn decode_run(message: &v1::TaskRun) -> Result<TaskRun, Invalid> {
-    let v1::TaskRun { kind, node, start_nanos, duration_nanos, success, intervention, reason } = message;
+pub(in crate::record) fn decode_run(message: &layout::TaskRun) -> Result<TaskRun, Invalid> {
+    let layout::TaskRun { kind, node, start_nanos, duration_nanos, success, intervention, reason } = message;
     if kept_reason(reason) != *reason {
         return Err("the reason of a report is too long or does not print");
     }
@@ -128,16 +130,7 @@ pub(super) fn decode_run(message: &v1::TaskRun) -> Result<TaskRun, Invalid> {
     Ok(run)
 }
 
-/// The tasks of a site; `None` for none.
-pub(super) fn encode_book(book: &TaskBook) -> Option<v1::TaskBook> {
-    (*book != TaskBook::default()).then(|| v1::TaskBook {
-        tasks: book.tasks().map(encode_task).collect(),
-        plans: book.plans().map(encode_plan).collect(),
-        runs: book.runs().oldest_first().map(encode_run).collect(),
-    })
-}
-
-pub(super) fn decode_book(message: &v1::TaskBook) -> Result<TaskBook, String> {
+fn decode_book(message: &layout::TaskBook) -> Result<TaskBook, String> {
     let mut book = TaskBook::default();
     let mut apply = |edit| book.apply(&edit).map_err(|error| error.to_string());
     for task in &message.tasks {
@@ -153,21 +146,57 @@ pub(super) fn decode_book(message: &v1::TaskBook) -> Result<TaskBook, String> {
     Ok(book.with_runs(runs))
 }
 
-pub(super) fn encode_edit(edit: &TaskEdit) -> v1::TaskEdit {
+fn encode_change(edit: &TaskEdit) -> layout::TaskEdit {
     let change = match edit {
-        TaskEdit::Set(task) => v1::TaskChange::Set(encode_task(task)),
-        TaskEdit::Remove(TaskName { kind, node }) => {
-            v1::TaskChange::Remove(v1::TaskName { kind: kind.as_str().to_owned(), node: node.as_str().to_owned() })
-        }
-        TaskEdit::KeepPlan(plan) => v1::TaskChange::KeepPlan(encode_plan(plan)),
+        TaskEdit::Set(task) => layout::TaskChange::Set(encode_task(task)),
+        TaskEdit::Remove(TaskName { kind, node }) => layout::TaskChange::Remove(layout::TaskName {
+            kind: kind.as_str().to_owned(),
+            node: node.as_str().to_owned(),
+        }),
+        TaskEdit::KeepPlan(plan) => layout::TaskChange::KeepPlan(encode_plan(plan)),
     };
-    v1::TaskEdit { change: Some(change) }
+    layout::TaskEdit { change: Some(change) }
 }
 
-pub(super) fn decode_edit(message: &v1::TaskEdit) -> Result<TaskEdit, Invalid> {
+fn decode_change(message: &layout::TaskEdit) -> Result<TaskEdit, Invalid> {
     Ok(match message.change.as_ref().ok_or("an edit of the tasks changes nothing")? {
-        v1::TaskChange::Set(task) => TaskEdit::Set(decode_task(task)?),
-        v1::TaskChange::Remove(v1::TaskName { kind, node }) => TaskEdit::Remove(decode_name(kind, node)?),
-        v1::TaskChange::KeepPlan(plan) => TaskEdit::KeepPlan(decode_plan(plan)?),
+        layout::TaskChange::Set(task) => TaskEdit::Set(decode_task(task)?),
+        layout::TaskChange::Remove(layout::TaskName { kind, node }) => TaskEdit::Remove(decode_name(kind, node)?),
+        layout::TaskChange::KeepPlan(plan) => TaskEdit::KeepPlan(decode_plan(plan)?),
     })
+}
+
+pub(super) enum Tasks {}
+
+impl StoredTable for Tasks {
+    const NUMBER: u32 = 7;
+    type Row = layout::TaskBook;
+    type Edit = layout::TaskEdit;
+
+    fn count(site: &Site) -> usize {
+        usize::from(*site.tasks() != TaskBook::default())
+    }
+
+    fn rows(site: &Site) -> impl Iterator<Item = layout::TaskBook> {
+        let book = site.tasks();
+        let row = || layout::TaskBook {
+            tasks: book.tasks().map(encode_task).collect(),
+            plans: book.plans().map(encode_plan).collect(),
+            runs: book.runs().oldest_first().map(encode_run).collect(),
+        };
+        (*book != TaskBook::default()).then(row).into_iter()
+    }
+
+    fn restore(site: Site, rows: Vec<layout::TaskBook>, _: usize) -> Result<Site, String> {
+        let [row] = rows.as_slice() else { return Err("a map has one book of tasks at most".to_owned()) };
+        Ok(site.with_tasks(decode_book(row)?))
+    }
+
+    fn encode_edit(edit: &SiteEdit) -> Option<layout::TaskEdit> {
+        if let SiteEdit::Task(edit) = edit { Some(encode_change(edit)) } else { None }
+    }
+
+    fn decode_edit(edit: layout::TaskEdit) -> Result<SiteEdit, Invalid> {
+        Ok(SiteEdit::Task(decode_change(&edit)?))
+    }
 }

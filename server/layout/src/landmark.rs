@@ -1,31 +1,6 @@
-//! Format 2, frozen: everything of format 1 as it is there, and what this module and these additions say.
+//! The landmarks of nodes and edges.
 //!
-//! | where | addition |
-//! | --- | --- |
-//! | [`super::v1::site::Change`] | tag 7, a [`LandmarkEdit`]; 8, of tasks; 9 and 10, of no-go areas |
-//! | [`super::v1::site::Site`] | tag 6, [`super::v1::task`]; 7, no-go areas |
-//! | [`super::v1::event::Observations`] | the runs of tasks |
-//! | [`super::v1::map::Snapshot`] | tag 9, how many [`LandmarksAtPlace`] follow the site |
-//! | checkpoint | [`super::v1::file::RecordKind::Landmarks`] after the site |
-//! | refusals of observations | reason 13: no such landmark |
-//! | [`super::v1::event::NewState`] | kind 6 and tag 6: a categorical state and its labels |
-//! | [`super::v1::map::State`] | kind 3: the probability of a label |
-//! | [`super::v1::history::StateSamples`] | tags 17 and 18: values and times in runs |
-//! | `index/` | the tree [`LANDMARKS`]: map u32, place u32, part u16 → part of a [`LandmarksAtPlace`] |
-//! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
-//!
-//! The headers of files keep the number of format 1, because they have not changed. The step from format 1 rewrites
-//! nothing: it makes older programs refuse the folder, which would not understand a landmark, a label or a task.
-//!
-//! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
-
-#![allow(missing_docs, reason = "fields whose name says it all")]
-
-/// The number of this format.
-pub const FORMAT: u32 = 2;
-
-/// Name of the tree of landmarks in the index.
-pub const LANDMARKS: &str = "published.landmarks";
+//! Invariant: as in [`super::site`].
 
 /// A landmark.
 #[derive(Clone, PartialEq, prost::Message)]

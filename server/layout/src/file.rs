@@ -126,10 +126,8 @@ pub enum RecordKind {
     Table = 14,
     /// [`super::history::End`], the last record of a history file.
     End = 15,
-    /// [`super::site::Site`], after the last state, if the snapshot has one.
-    Site = 16,
-    /// [`crate::v2::LandmarksAtPlace`], after the site, in the order of nodes and then edges; since format 2.
-    Landmarks = 17,
+    /// [`super::site::TableRow`], after the last state, ascending by table.
+    TableRow = 16,
 }
 
 /// Header of a record: kind u8, zero u8 × 3, payload length u32, payload CRC-32C u32, CRC-32C of the 12 bytes before.

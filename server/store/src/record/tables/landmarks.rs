@@ -1,30 +1,31 @@
-//! Landmarks and their edits as messages, and back.
+//! Landmarks on the disk: a row for each node and edge that has any, in their order.
 //!
-//! Invariant: decoding gives the encoded value, bit by bit.
+//! Invariant: reading gives what was written, bit by bit.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use tidemap_layout::landmark as layout;
 use tidemap_map::{
     landmark::{
         Descriptor, DescriptorKind, ImageFeature, Landmark, LandmarkEdit, LandmarkKind, LandmarkPlace, Landmarks,
         LandmarksAtPlace,
     },
     name::PlaceName,
-    site::Site,
+    site::{Site, SiteEdit},
     topology::{EdgeId, NodeId},
 };
-use tidemap_migrations::v2;
 
-use super::{Invalid, ids::decode_state_name};
+use super::StoredTable;
+use crate::record::{Invalid, ids::decode_state_name};
 
-fn encode_feature(feature: &ImageFeature) -> v2::ImageFeature {
-    v2::ImageFeature {
+fn encode_feature(feature: &ImageFeature) -> layout::ImageFeature {
+    layout::ImageFeature {
         u_bits: feature.u_px.to_bits(),
         v_bits: feature.v_px.to_bits(),
         descriptor: feature.descriptor.to_bytes(),
     }
 }
 
-fn decode_feature(message: &v2::ImageFeature) -> Result<ImageFeature, Invalid> {
+fn decode_feature(message: &layout::ImageFeature) -> Result<ImageFeature, Invalid> {
     let descriptor = Descriptor::new(&message.descriptor).map_err(|_| "a descriptor has no valid length")?;
     let [u_px, v_px] = [message.u_bits, message.v_bits].map(f64::from_bits);
     Ok(ImageFeature { u_px, v_px, descriptor })
@@ -43,13 +44,13 @@ fn decode_pose(bits: &[u64]) -> Result<Isometry3<f64>, Invalid> {
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }
 
-fn encode_landmark(Landmark { name, kind, covariance }: &Landmark) -> v2::Landmark {
+fn encode_landmark(Landmark { name, kind, covariance }: &Landmark) -> layout::Landmark {
     let covariance = covariance.as_deref().unwrap_or_default();
     let marker = match kind {
-        LandmarkKind::Marker { number, pose } => Some(v2::Marker { number: *number, pose_bits: encode_pose(pose) }),
+        LandmarkKind::Marker { number, pose } => Some(layout::Marker { number: *number, pose_bits: encode_pose(pose) }),
         LandmarkKind::Image(_) | LandmarkKind::Path { .. } => None,
     };
-    v2::Landmark {
+    layout::Landmark {
         name: name.as_str().to_owned(),
         feature: kind.feature().map(encode_feature),
         along_bits: kind.along_m().map(f64::to_bits),
@@ -58,8 +59,8 @@ fn encode_landmark(Landmark { name, kind, covariance }: &Landmark) -> v2::Landma
     }
 }
 
-fn decode_landmark(message: &v2::Landmark) -> Result<Landmark, Invalid> {
-    let v2::Landmark { name, feature, along_bits, marker, covariance_bits } = message;
+fn decode_landmark(message: &layout::Landmark) -> Result<Landmark, Invalid> {
+    let layout::Landmark { name, feature, along_bits, marker, covariance_bits } = message;
     let kind = match (feature, along_bits, marker) {
         (Some(feature), None, None) => LandmarkKind::Image(decode_feature(feature)?),
         (Some(feature), Some(along), None) => {
@@ -74,22 +75,20 @@ fn decode_landmark(message: &v2::Landmark) -> Result<Landmark, Invalid> {
     Ok(Landmark { name: decode_state_name(name)?, kind, covariance: (!covariance.is_empty()).then_some(covariance) })
 }
 
-fn decode_landmarks(messages: &[v2::Landmark]) -> Result<Vec<Landmark>, Invalid> {
+fn decode_landmarks(messages: &[layout::Landmark]) -> Result<Vec<Landmark>, Invalid> {
     messages.iter().map(decode_landmark).collect()
 }
 
-/// All places with landmarks, in their order.
-pub(crate) fn encode_places(landmarks: &Landmarks) -> impl Iterator<Item = v2::LandmarksAtPlace> {
-    let kind = landmarks.descriptor_kind();
-    landmarks.places().map(move |(place, known)| encode_place(place, known, kind))
-}
-
-fn encode_place(place: LandmarkPlace, known: &LandmarksAtPlace, kind: Option<&DescriptorKind>) -> v2::LandmarksAtPlace {
+fn encode_place(
+    place: LandmarkPlace,
+    known: &LandmarksAtPlace,
+    kind: Option<&DescriptorKind>,
+) -> layout::LandmarksAtPlace {
     let (node, edge) = match place {
         LandmarkPlace::Node(NodeId(node)) => (Some(node), None),
         LandmarkPlace::Edge(EdgeId(edge)) => (None, Some(edge)),
     };
-    v2::LandmarksAtPlace {
+    layout::LandmarksAtPlace {
         node,
         edge,
         landmarks: known.landmarks().iter().map(encode_landmark).collect(),
@@ -100,42 +99,24 @@ fn encode_place(place: LandmarkPlace, known: &LandmarksAtPlace, kind: Option<&De
     }
 }
 
-/// The site with its landmarks, from its places in their order.
-pub(crate) fn decode_into(site: Site, places: &[v2::LandmarksAtPlace]) -> Result<Site, String> {
-    let Some(first) = places.first() else { return Ok(site) };
-    let bytes = first.descriptor_bytes as usize;
-    let kind = (bytes > 0).then(|| DescriptorKind { name: first.descriptor_kind.clone(), bytes });
-    let part = |message: &v2::LandmarksAtPlace| {
-        let place = match (message.node, message.edge) {
-            (Some(node), None) => LandmarkPlace::Node(NodeId(node)),
-            (None, Some(edge)) => LandmarkPlace::Edge(EdgeId(edge)),
-            _ => return Err("landmarks are of no place"),
-        };
-        Ok((place, decode_landmarks(&message.landmarks)?, message.velocity_profile.clone().into()))
-    };
-    let parts = places.iter().map(part).collect::<Result<Vec<_>, Invalid>>()?;
-    let landmarks = Landmarks::from_parts(site.topology(), kind, parts).map_err(|error| error.to_string())?;
-    Ok(site.with_landmarks(landmarks))
-}
-
-pub(super) fn encode_edit(edit: &LandmarkEdit) -> v2::LandmarkEdit {
+fn encode_change(edit: &LandmarkEdit) -> layout::LandmarkEdit {
     match edit {
-        LandmarkEdit::Add { place, descriptor_kind, landmarks, velocity_profile } => v2::LandmarkEdit {
+        LandmarkEdit::Add { place, descriptor_kind, landmarks, velocity_profile } => layout::LandmarkEdit {
             place: place.to_string(),
             descriptor_kind: descriptor_kind.clone(),
             added: landmarks.iter().map(encode_landmark).collect(),
             velocity_profile: velocity_profile.as_deref().map(<[u8]>::to_vec),
             removed: Vec::new(),
         },
-        LandmarkEdit::Remove { place, names } => v2::LandmarkEdit {
+        LandmarkEdit::Remove { place, names } => layout::LandmarkEdit {
             place: place.to_string(),
             removed: names.iter().map(|name| name.as_str().to_owned()).collect(),
-            ..v2::LandmarkEdit::default()
+            ..layout::LandmarkEdit::default()
         },
     }
 }
 
-pub(super) fn decode_edit(message: &v2::LandmarkEdit) -> Result<LandmarkEdit, Invalid> {
+fn decode_change(message: &layout::LandmarkEdit) -> Result<LandmarkEdit, Invalid> {
     let place = PlaceName::parse(&message.place).map_err(|_| "the place of landmarks is not valid")?;
     if !message.removed.is_empty() {
         let names = message.removed.iter().map(|name| decode_state_name(name)).collect::<Result<_, _>>()?;
@@ -147,4 +128,46 @@ pub(super) fn decode_edit(message: &v2::LandmarkEdit) -> Result<LandmarkEdit, In
         landmarks: decode_landmarks(&message.added)?,
         velocity_profile: message.velocity_profile.clone().map(Vec::into_boxed_slice),
     })
+}
+
+pub(super) enum LandmarkPlaces {}
+
+impl StoredTable for LandmarkPlaces {
+    const NUMBER: u32 = 8;
+    type Row = layout::LandmarksAtPlace;
+    type Edit = layout::LandmarkEdit;
+
+    fn count(site: &Site) -> usize {
+        site.landmarks().places().len()
+    }
+
+    fn rows(site: &Site) -> impl Iterator<Item = layout::LandmarksAtPlace> {
+        let kind = site.landmarks().descriptor_kind();
+        site.landmarks().places().map(move |(place, known)| encode_place(place, known, kind))
+    }
+
+    fn restore(site: Site, rows: Vec<layout::LandmarksAtPlace>, _: usize) -> Result<Site, String> {
+        let Some(first) = rows.first() else { return Ok(site) };
+        let bytes = first.descriptor_bytes as usize;
+        let kind = (bytes > 0).then(|| DescriptorKind { name: first.descriptor_kind.clone(), bytes });
+        let part = |row: &layout::LandmarksAtPlace| {
+            let place = match (row.node, row.edge) {
+                (Some(node), None) => LandmarkPlace::Node(NodeId(node)),
+                (None, Some(edge)) => LandmarkPlace::Edge(EdgeId(edge)),
+                _ => return Err("landmarks are of no place"),
+            };
+            Ok((place, decode_landmarks(&row.landmarks)?, row.velocity_profile.clone().into()))
+        };
+        let parts = rows.iter().map(part).collect::<Result<Vec<_>, Invalid>>()?;
+        let landmarks = Landmarks::from_parts(site.topology(), kind, parts).map_err(|error| error.to_string())?;
+        Ok(site.with_landmarks(landmarks))
+    }
+
+    fn encode_edit(edit: &SiteEdit) -> Option<layout::LandmarkEdit> {
+        if let SiteEdit::Landmarks(edit) = edit { Some(encode_change(edit)) } else { None }
+    }
+
+    fn decode_edit(edit: layout::LandmarkEdit) -> Result<SiteEdit, Invalid> {
+        Ok(SiteEdit::Landmarks(decode_change(&edit)?))
+    }
 }

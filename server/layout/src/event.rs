@@ -204,3 +204,11 @@ pub struct Scans {
     #[prost(message, optional, tag = "23")]
     pub shown: Option<super::map::CellBox>,
 }
+
+/// Producers that will not come back give their places up.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ForgetProducers {
+    /// Numbers of the producers.
+    #[prost(uint32, repeated, tag = "1")]
+    pub producers: Vec<u32>,
+}

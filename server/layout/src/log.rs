@@ -77,11 +77,11 @@ pub enum FrameKind {
     AddState = b'K' as isize,
     /// [`super::site::SiteEdit`].
     EditSite = b'E' as isize,
-    /// [`crate::v3::Epoch`].
+    /// [`super::cluster::Epoch`].
     Epoch = b'W' as isize,
-    /// [`crate::v3::UpdateDone`].
+    /// [`super::cluster::UpdateDone`].
     UpdateDone = b'D' as isize,
-    /// [`crate::v3::ForgetProducers`].
+    /// [`super::event::ForgetProducers`].
     ForgetProducers = b'F' as isize,
 }
 

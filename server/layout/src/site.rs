@@ -1,0 +1,207 @@
+//! The site of a map: what people and robots tell it besides observations, as rows of tables, and changes of tables.
+//!
+//! | number | table | row | change |
+//! | --- | --- | --- | --- |
+//! | 1 | charger | [`Position`]; one at most | [`ChargerEdit`] |
+//! | 2 | locations, ascending by name | [`Location`] | [`LocationEdit`] |
+//! | 3 | no-go areas, ascending by name | [`NoGoArea`] | [`NoGoEdit`] |
+//! | 4 | places that robots tried to reach | [`Reachability`]; one at most | [`Visit`] |
+//! | 5 | topological map | [`super::topology::Topology`]; one at most | [`super::topology::Edit`] |
+//! | 6 | failed traversals | [`FailedTraversals`]; one at most | with observations |
+//! | 7 | tasks | [`super::task::TaskBook`]; one at most | [`super::task::TaskEdit`] |
+//! | 8 | landmarks, by node, then by edge | [`super::landmark::LandmarksAtPlace`] | [`super::landmark::LandmarkEdit`] |
+//!
+//! Invariant: an empty table has no row; the number of a table is never given to another one. Doubles are kept as their
+//! bits.
+
+/// A row of a table, in a checkpoint and, in parts, in the index.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TableRow {
+    /// Number of the table.
+    #[prost(uint32, tag = "1")]
+    pub table: u32,
+    /// The row, a message.
+    #[prost(bytes = "vec", tag = "2")]
+    pub row: Vec<u8>,
+}
+
+/// A change of a table, in the log.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SiteEdit {
+    /// Number of the table.
+    #[prost(uint32, tag = "1")]
+    pub table: u32,
+    /// The change, a message.
+    #[prost(bytes = "vec", tag = "2")]
+    pub edit: Vec<u8>,
+}
+
+/// Where something is: x and y in metres, as bits.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Position {
+    /// Along x.
+    #[prost(fixed64, tag = "1")]
+    pub x_bits: u64,
+    /// Along y.
+    #[prost(fixed64, tag = "2")]
+    pub y_bits: u64,
+}
+
+/// States that are seen together.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Location {
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// Numbers of the states, ascending.
+    #[prost(uint32, repeated, tag = "2")]
+    pub states: Vec<u32>,
+    /// Where the robot stands; absent: not given.
+    #[prost(message, optional, tag = "3")]
+    pub position: Option<Position>,
+    /// Cells of the grid, ascending.
+    #[prost(message, repeated, tag = "4")]
+    pub cells: Vec<SiteCell>,
+}
+
+/// A cell of the grid: its index along each axis.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct SiteCell {
+    /// Along x.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Along y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// Along z.
+    #[prost(sint32, tag = "3")]
+    pub z: i32,
+}
+
+/// The last attempts to reach a cell of 50 cm.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Attempts {
+    /// Along x, in cells from the origin.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Along y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// How many, 1 to 5.
+    #[prost(uint32, tag = "3")]
+    pub count: u32,
+    /// Whether they succeeded, the newest in the lowest bit.
+    #[prost(uint32, tag = "4")]
+    pub reached: u32,
+    /// Time of the newest.
+    #[prost(sint64, tag = "5")]
+    pub last_nanos: i64,
+}
+
+/// A robot reached a place, or did not.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Visit {
+    /// Where.
+    #[prost(message, optional, tag = "1")]
+    pub position: Option<Position>,
+    /// Whether it got there.
+    #[prost(bool, tag = "2")]
+    pub reached: bool,
+    /// When.
+    #[prost(sint64, tag = "3")]
+    pub utc_nanos: i64,
+}
+
+/// A traversal of an edge that failed.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct EdgeFailure {
+    /// Name of the node where the edge begins.
+    #[prost(string, tag = "1")]
+    pub from: String,
+    /// Name of the node where it ends.
+    #[prost(string, tag = "2")]
+    pub to: String,
+    /// Its action; empty: the usual one.
+    #[prost(string, tag = "3")]
+    pub action: String,
+    /// When the robot set out.
+    #[prost(sint64, tag = "4")]
+    pub start_nanos: i64,
+    /// When it gave up.
+    #[prost(sint64, tag = "5")]
+    pub end_nanos: i64,
+    /// Why, at most 200 characters.
+    #[prost(string, tag = "6")]
+    pub reason: String,
+}
+
+/// An area that nothing is planned through.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NoGoArea {
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// At least three.
+    #[prost(message, repeated, tag = "2")]
+    pub corners: Vec<Position>,
+}
+
+/// The places that robots tried to reach.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Reachability {
+    /// Ascending by x, then y.
+    #[prost(message, repeated, tag = "1")]
+    pub cells: Vec<Attempts>,
+}
+
+/// The newest traversals that failed.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct FailedTraversals {
+    /// Ascending by start.
+    #[prost(message, repeated, tag = "1")]
+    pub failures: Vec<EdgeFailure>,
+}
+
+/// Where the robot rests.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct ChargerEdit {
+    /// Absent: nowhere in particular.
+    #[prost(message, optional, tag = "1")]
+    pub position: Option<Position>,
+}
+
+/// A change of the locations.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct LocationEdit {
+    /// What changes.
+    #[prost(oneof = "LocationChange", tags = "1, 2")]
+    pub change: Option<LocationChange>,
+}
+
+/// What changes.
+#[derive(Clone, PartialEq, prost::Oneof)]
+pub enum LocationChange {
+    /// A location is added or replaced.
+    #[prost(message, tag = "1")]
+    Set(Location),
+    /// The location of this name is removed.
+    #[prost(string, tag = "2")]
+    Remove(String),
+}
+
+/// A change of the no-go areas.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NoGoEdit {
+    /// What changes.
+    #[prost(oneof = "NoGoChange", tags = "1, 2")]
+    pub change: Option<NoGoChange>,
+}
+
+/// What changes.
+#[derive(Clone, PartialEq, prost::Oneof)]
+pub enum NoGoChange {
+    /// An area is added or replaced.
+    #[prost(message, tag = "1")]
+    Set(NoGoArea),
+    /// The area of this name is removed.
+    #[prost(string, tag = "2")]
+    Remove(String),
+}
