@@ -284,7 +284,7 @@ fn links_lead_somewhere() {
 /// Files and folders of the project that the documents name.
 #[test]
 fn files_that_the_documents_name_exist() {
-    const ROOTS: [&str; 7] = ["server/", "client/", "proto/", "tests/", "migrations/", "docs/", "deploy/"];
+    const ROOTS: [&str; 8] = ["server/", "research/", "client/", "proto/", "tests/", "migrations/", "docs/", "deploy/"];
     let mut checked = 0;
     for page in PAGES.iter().chain(&["ARCHITECTURE.md", "BENCHMARKS.md"]) {
         let text = fs::read_to_string(root().join(page)).unwrap_or_else(|error| panic!("{page}: {error}"));

@@ -133,7 +133,7 @@ async fn data_of_a_newer_format_is_refused_and_left_alone() {
 
     let manifest = data.path().join("MANIFEST");
     let text = fs::read_to_string(&manifest).expect("a manifest");
-    let body = text.replacen("format 3\n", "format 4\n", 1);
+    let body = text.replacen("format 1\n", "format 2\n", 1);
     let body = body.split("crc32c ").next().expect("a body");
     let newer = format!("{body}crc32c {:08x}\n", crc32c::crc32c(body.as_bytes()));
     assert_ne!(newer, text);
@@ -142,7 +142,7 @@ async fn data_of_a_newer_format_is_refused_and_left_alone() {
     let before = disk::contents(data.path());
     let exit = launch.try_start().expect_err("the format is newer");
     assert_eq!(exit.code(), Some(65), "{exit}");
-    for word in ["format 4", "MANIFEST", "newer version"] {
+    for word in ["format 2", "MANIFEST", "newer version"] {
         assert!(exit.stderr.contains(word), "{word:?} is not in {exit}");
     }
     assert_eq!(disk::contents(data.path()), before);

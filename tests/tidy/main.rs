@@ -23,7 +23,11 @@ const CRATES: [(&str, &str, &[&str]); 21] = [
     ("server/map", "tidemap-map", &["tidemap-grid", "tidemap-model"]),
     ("server/picture", "tidemap-picture", &[]),
     ("server/plan", "tidemap-plan", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
-    ("server/store", "tidemap-store", &["tidemap-grid", "tidemap-layout", "tidemap-map", "tidemap-migrations", "tidemap-model"]),
+    (
+        "server/store",
+        "tidemap-store",
+        &["tidemap-grid", "tidemap-layout", "tidemap-map", "tidemap-migrations", "tidemap-model"],
+    ),
     ("server/cluster", "tidemap-cluster", &["tidemap-map", "tidemap-model", "tidemap-store"]),
     ("proto", "tidemap-proto", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan"]),
     (

@@ -193,8 +193,8 @@ mod tests {
 
     #[test]
     fn records_of_every_kind_come_back_and_every_flipped_bit_is_noticed() {
-        assert!(RecordKind::try_from(0).is_err() && RecordKind::try_from(18).is_err());
-        for kind in (1..=17).map(|number| RecordKind::try_from(number).expect("a kind")) {
+        assert!(RecordKind::try_from(0).is_err() && RecordKind::try_from(17).is_err());
+        for kind in (1..=16).map(|number| RecordKind::try_from(number).expect("a kind")) {
             let record = RecordHeader { kind, payload_length: 70, payload_crc: 5 };
             assert_eq!(RecordHeader::decode(&record.encode()), Some(record));
             for bit in 0..RECORD_HEADER_LENGTH * 8 {
