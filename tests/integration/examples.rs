@@ -55,6 +55,7 @@ pages! {
     clusters: "docs/src/clusters.md",
     commands: "docs/src/commands.md",
     configuration: "docs/src/configuration.md",
+    data_folder: "docs/src/data-folder.md",
     durability: "docs/src/durability.md",
     experiments: "docs/src/experiments.md",
     categories: "docs/src/categories.md",

@@ -89,9 +89,9 @@ pub(super) fn lesson() -> &'static str {
     "What you see
   predicted   how probable it is that the door is open, or the room occupied: full bar 1, line 0
   truth       what then happened: █ open or occupied, · not, ░▒ for a part of these 20 minutes
-  by          the model that predicts it. Every night tidemap tries, on the day that ended, the sums
-              of 0 to 15 rhythms (spectral), three histograms and a profile of day and week
-              (calibrated), and keeps for each state what would have predicted it best.
+  by          the model that predicts it. Every night tidemap scores its models on the day that
+              ended: sums of 0 to 15 rhythms (spectral), three histograms, a profile of day and week
+              (calibrated), recent days. The ensemble weights them by their errors.
   rhythms     those that were found: their periods, strongest first, and how far each swings the
               probability up and down. A habit of every day takes 24 h and its fractions, one of
               some weekdays 7 d and its; a door that is always open has none.
