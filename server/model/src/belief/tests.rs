@@ -1,4 +1,4 @@
-//! What `belief.rs` promises, on simulated states.
+//! The promises of `belief.rs`, tested on simulated states.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
@@ -98,7 +98,7 @@ fn a_single_wrong_reading_is_not_believed() {
     assert!(blended(&belief, &ones, 0.4, 0) < 0.3);
 }
 
-/// The probability to read 1 at the last reading, by the plainest filter there is.
+/// The probability to read 1 at the last reading, by the simplest filter.
 fn naive_filter(rates: Rates, sensor: StateSensor, samples: &[Sample]) -> f64 {
     let (hit, false_alarm) = (sensor.hit(), sensor.false_alarm());
     let share = rates.rise_per_sec / (rates.rise_per_sec + rates.fall_per_sec);
@@ -166,7 +166,7 @@ fn the_next_change_of_a_regular_state_is_foreseen() {
 
 #[test]
 fn far_ahead_the_prediction_answers() {
-    // A chain that forgets within minutes says nothing about tomorrow: there the predictor knows more.
+    // A chain that forgets within minutes gives no information about tomorrow: there the prediction is better.
     let dwell = |_, random: &mut SmallRng| exponential(600.0, random);
     let samples = simulate(5, 14_400, dwell, |_| 60.0, 0.0);
     let belief = learned(&samples);
