@@ -118,10 +118,11 @@ fn a_known_sensor_is_believed_as_bayes_says_from_the_first_reading_on() {
     let readings = [(0, 1.0), (600, 0.0), (1000, 1.0), (1300, 1.0), (9000, 0.0), (9060, 0.0), (9100, 1.0)];
     let samples = readings.map(|(secs, value)| Sample { utc_nanos: secs * SEC, offset_secs: 0, value });
     let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
-    // Beyond these, a reading that cannot be still may be one: no evidence counts more than 1000 times.
+    // More certain sensors are left out: a reading that is impossible for them still counts as possible, because the
+    // probability of a reading is taken as at least 0.001.
     for (hit, false_alarm) in [(0.9, 0.05), (0.99, 0.3), (0.45, 0.01), (0.3, 0.2)] {
         let sensor = StateSensor::new(hit, false_alarm).unwrap();
-        // One that has learned nothing, and one that has learned readings without any error.
+        // A belief that has learned nothing, and a belief that has learned readings without any error.
         let days = simulate(8, 3000, dwell, |_| 28_800.0, 0.0);
         for belief in [Belief::of_sensor(sensor), learned_by(Belief::of_sensor(sensor), &days)] {
             assert_eq!(belief.noise(), SensorNoise { miss: 1.0 - hit, false_alarm });

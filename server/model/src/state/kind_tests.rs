@@ -1,4 +1,4 @@
-//! States that are not probabilities: what is learned, and that the unit does not matter.
+//! Tests of states that are not probabilities: their learned data, and that the unit does not matter.
 
 use proptest::prelude::*;
 
@@ -120,7 +120,7 @@ fn parts_come_back_and_only_as_what_they_are() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Numbers in another unit, from another zero, give the same model; so do those of a probability, except for
+    /// Numbers in another unit, with another zero, give an equivalent model; so do those of a probability, except for
     /// saturation.
     #[test]
     fn the_unit_does_not_matter(seed in any::<u64>(), scale in 1e-3..1e6_f64, shift in -5.0..5.0_f64) {

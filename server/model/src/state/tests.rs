@@ -1,4 +1,4 @@
-//! What `state.rs` promises, against a naive oracle where there is one.
+//! The promises of `state.rs`, tested against a naive oracle where there is one.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! When the calibrated model is trained again, what it is scored on, and when it is chosen.
+//! Tests when the calibrated model is trained again, on which days it is scored, and when it is chosen.
 
 use super::*;
 use crate::{
@@ -7,7 +7,7 @@ use crate::{
 };
 
 const CALIBRATED: ModelKind = ModelKind::Calibrated;
-/// Of a day's errors, after another observed day.
+/// The weight of the errors of a day, after another observed day.
 const KEPT_PER_DAY: f64 = 0.93;
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
@@ -121,7 +121,7 @@ fn a_day_is_scored_by_the_model_before_it() {
     let day = samples(14..15, office);
     learn(&mut state, day.clone());
     let after = calibrated_error(&state).unwrap();
-    // It begins with the error of the model in force.
+    // The sum begins with the error of the model in force.
     let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
     // Another model, two days without observations, which do not count, and a day.
@@ -172,7 +172,7 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
     }
 }
 
-/// The rules by which the chosen model answers.
+/// The rules with which the chosen model predicts.
 fn without_ensemble() -> UpdateRules {
     UpdateRules { models: EnabledModels::default().without_ensemble(), ..UpdateRules::default() }
 }
