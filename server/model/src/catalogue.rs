@@ -78,8 +78,8 @@ pub enum ModelKind {
     /// All models of a state, weighted by how well each has predicted, with the uncertainty that follows from the
     /// number of half-hour bins.
     Ensemble,
-    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO
-    /// 2017, section III.B).
+    /// The strongest components of the Fourier transform of regular readings, and the outliers from these (T-RO 2017,
+    /// section III.B).
     Uniform,
 }
 
@@ -107,18 +107,18 @@ pub enum SupportedStates {
     Counts,
 }
 
-/// Where a model comes from when a query asks for it.
+/// The source of a model for a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Training {
     /// Updates publish the model of each state, and of each cell of a grid: it predicts at once.
     Published,
     /// Updates publish the model of each named state; cells do not have it.
     PublishedOfStates,
-    /// It is trained on the readings of the state: on request, and at night if it is in [`TRAINED_AT_NIGHT`].
+    /// The model is trained on the readings of the state: on request, and at night if it is in [`TRAINED_AT_NIGHT`].
     OnReadings(TrainingCost),
 }
 
-/// How long the training of one model takes on the readings of twelve weeks.
+/// The training time of one model on the readings of twelve weeks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TrainingCost {
     /// Milliseconds: it may be repeated daily.
@@ -134,9 +134,9 @@ pub enum TrainingCost {
 pub struct ModelInfo {
     /// The name without parameters, on the command line, in protocols and in Python.
     pub name: &'static str,
-    /// The states that support it.
+    /// The states that support the model.
     pub states: SupportedStates,
-    /// Where it comes from.
+    /// The source of the model for a query.
     pub training: Training,
     /// The names of its parameters in protocols and in Python: see [`ParameterSet`].
     pub parameters: &'static [&'static str],
@@ -234,7 +234,7 @@ struct NamedParameters<'a> {
 /// The meaning of the number in the name of a model, as in `pergam:3`, and its maximum; the minimum is 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CountLimit {
-    /// The maximum.
+    /// The maximum of the number.
     pub max: u32,
     /// The noun for the counted items, such as `bins`.
     pub noun: &'static str,
@@ -254,7 +254,7 @@ impl ModelKind {
         self.info().name
     }
 
-    /// Whether states whose values have this meaning support it.
+    /// Whether states of this kind support the model.
     pub fn supports(self, kind: StateKind) -> bool {
         self.info().states.contains(kind)
     }
@@ -281,7 +281,7 @@ impl ModelKind {
         matches!(self, Self::Latest | Self::Persistence)
     }
 
-    /// How long its training takes; `None` if it is not trained on readings.
+    /// The training time of the model; `None` if it is not trained on readings.
     pub fn cost(self) -> Option<TrainingCost> {
         match self.info().training {
             Training::Published | Training::PublishedOfStates => None,
@@ -354,7 +354,7 @@ impl ModelKind {
 }
 
 impl SupportedStates {
-    /// Whether states whose values have this meaning are among them.
+    /// Whether states of this kind are among these states.
     pub fn contains(self, kind: StateKind) -> bool {
         match self {
             Self::All => true,
@@ -375,8 +375,8 @@ impl SupportedStates {
 
 /// The stored form of the choice of an update.
 impl ModelKind {
-    /// The number under which the first of [`TRAINED_AT_NIGHT`] is stored as the one in force, clear of those of
-    /// [`HISTOGRAMS`]; the others follow.
+    /// The number under which the first of [`TRAINED_AT_NIGHT`] is stored as the model in force; the others follow.
+    /// Smaller numbers are free for [`HISTOGRAMS`].
     const TRAINED_ID: u8 = 128;
 
     /// The number under which a model that is in force is stored: 0 the spectral model, from 128 on those of

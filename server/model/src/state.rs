@@ -47,7 +47,7 @@ pub struct StateModel {
     /// `None` while the state is untrained, unless its sensor is stated.
     belief: Option<Box<Belief>>,
     surprises: Surprises,
-    /// How the state is reported, and how far its rows are learned; `None` if each row is a reading.
+    /// The way in which the state is reported, and the record of its learned rows; `None` if each row is a reading.
     reported: Option<Box<(Reporting, LearnedRows)>>,
 }
 
@@ -159,18 +159,18 @@ impl StateModel {
         }
     }
 
-    /// This state with another way of reporting than by samples, and with a record of how far its rows are learned.
+    /// This state with another way of reporting than by samples, and with the record of its learned rows.
     #[must_use]
     pub fn with_reporting(self, reporting: Reporting, learned: LearnedRows) -> StateModel {
         StateModel { reported: reporting.may_end().then(|| Box::new((reporting, learned))), ..self }
     }
 
-    /// How the rows of the state come about.
+    /// The way in which the state is reported.
     pub fn reporting(&self) -> Reporting {
         self.reported.as_ref().map_or(Reporting::Samples, |known| known.0)
     }
 
-    /// How far its rows are learned; `None` if each row is a reading.
+    /// The record of the learned rows of the state; `None` if each row is a reading.
     pub fn learned_rows(&self) -> Option<&LearnedRows> {
         self.reported.as_ref().map(|known| &known.1)
     }
@@ -317,7 +317,7 @@ impl StateModel {
     /// every enabled model, chooses, learns the day and trains the spectral model again. Models that are trained on
     /// readings stay as they are: the caller trains them between days, with [`StateModel::with_trained`].
     ///
-    /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
+    /// A local day that is split over two updates is scored in two parts, the second with the model that has learned
     /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
     pub fn update(
         &mut self,

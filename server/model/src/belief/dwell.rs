@@ -19,7 +19,7 @@ pub(super) const DWELLS_MIN: u32 = 8;
 const WIDTHS: [f64; 4] = [0.05, 0.12, 0.3, 0.8];
 /// Number of ages at which a survival is stored.
 const NODES: usize = 128;
-/// How far the stored ages reach beyond the dwells, in widths of the kernel.
+/// The stored ages reach this many kernel widths beyond the dwells.
 const MARGIN: f64 = 3.0;
 /// Dwells are used only where the mean gap between readings is at most this share of the chain's 1/(α+β).
 const GAP_SHARE_MAX: f64 = 0.5;

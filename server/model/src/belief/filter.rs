@@ -83,7 +83,7 @@ fn pass(known: &mut Vec<Hypothesis>, survivals: &[Survival; 2], secs: f64) {
     }
 }
 
-/// Joins the hypothesis with the lowest weight to the one that is most like it, or drops it.
+/// Merges the hypothesis with the lowest weight into the one with the same value and the nearest age, or drops it.
 fn join_lightest(known: &mut Vec<Hypothesis>) {
     let lightest = known.iter().enumerate().min_by(|one, other| one.1.weight.total_cmp(&other.1.weight));
     let Some(gone) = lightest.map(|(index, _)| index).map(|index| known.swap_remove(index)) else { return };

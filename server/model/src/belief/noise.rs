@@ -7,7 +7,7 @@
 use super::{Look, Rates};
 use crate::models::markov_chain::likelihood::Transitions;
 
-/// How often a sensor reads a state of two values wrongly.
+/// The error probabilities of a sensor of a state of two values.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct SensorNoise {
     /// m, the probability to read 0 when the state is 1; a learned one is at most 0.45.
@@ -47,11 +47,11 @@ impl SensorNoise {
 pub(super) struct ErrorSums {
     /// Readings while the state is 1.
     pub(super) ones: f64,
-    /// Of these, readings of 0.
+    /// Readings of 0 while the state is 1.
     pub(super) misses: f64,
     /// Readings while the state is 0.
     pub(super) zeros: f64,
-    /// Of these, readings of 1.
+    /// Readings of 1 while the state is 0.
     pub(super) false_alarms: f64,
 }
 

@@ -64,7 +64,7 @@ impl RecentSpan {
         })
     }
 
-    /// How much less likely the readings of both spans are with one share of ones instead of two, in nats.
+    /// The log-likelihood that the readings of both spans lose with one share of ones instead of two, in nats.
     fn loss(&self, next: &RecentSpan) -> f64 {
         if self.ones | next.ones == 0 || self.zeros | next.zeros == 0 {
             return 0.0;

@@ -4,7 +4,7 @@
 
 use super::{Belief, SensorNoise};
 
-/// How reliable the readings of a state of two values are. As evidence, a probability below 0.001 counts as 0.001.
+/// The reliability of the readings of a state of two values. As evidence, a probability below 0.001 counts as 0.001.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateSensor {
     hit: f64,

@@ -150,7 +150,7 @@ fn the_rates_behind_a_known_sensor_are_found() {
 
 #[test]
 fn the_next_change_of_a_regular_state_is_foreseen() {
-    // 0 for ten minutes, 1 for five, give or take a little.
+    // The state is 0 for about ten minutes, then 1 for about five.
     let dwell = |is_one, random: &mut SmallRng| {
         let mean = if is_one { 300.0 } else { 600.0 };
         mean * (0.97 + 0.06 * random.random::<f64>())
@@ -198,7 +198,7 @@ fn weights_follow_what_has_been_right() {
 
 #[test]
 fn numbers_are_the_newest_value_as_far_as_that_was_right() {
-    // Steps of an hour, read every ten minutes.
+    // The value changes every hour, and is read every ten minutes.
     let mut random = SmallRng::seed_from_u64(6);
     let mut value = 20.0;
     let samples: Vec<Sample> = (0..3000)
@@ -253,7 +253,7 @@ fn expected_changes_are_exact_without_errors() {
 #[test]
 fn old_readings_are_merged_and_changes_are_kept() {
     let mut recent = Recent::default();
-    // 1 for 200 s, then 0 for 100 s, with a wrong reading every ten seconds.
+    // The state is 1 for 200 s, then 0 for 100 s, with a wrong reading every ten seconds.
     for second in 0..300_i64 {
         let is_one = (second < 200) != (second % 10 == 9);
         recent.observe(second * SEC, f64::from(u8::from(is_one)));

@@ -1,11 +1,12 @@
-//! Which models the nightly update of a map may choose among.
+//! The models that the nightly update of a map may choose among.
 //!
 //! Invariant: the spectral model is always one of them. Models are enabled by name; the update tries each with the
 //! parameters of the catalogue.
 
 use super::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainingCost, name::listed};
 
-/// Which models the update of a state chooses among. The spectral model always is one of them; its order 0 is the mean.
+/// The models that the update of a state chooses among. The spectral model always is one of them; its order 0 is the
+/// mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct EnabledModels(u32);
 
@@ -15,7 +16,7 @@ const HISTOGRAM_BIT: u32 = 1;
 /// The bit of the ensemble; the bits below it are free for further models.
 const ENSEMBLE_BIT: u32 = 1 << 30;
 
-/// The bit of models of this name, 0 of the spectral model; `None` if updates do not choose such models.
+/// The bit of models of this name; 0 for the spectral model; `None` if updates do not choose such models.
 fn bit(name: &str) -> Option<u32> {
     let trained = || TRAINED_AT_NIGHT.iter().position(|kind| kind.name() == name);
     match name {

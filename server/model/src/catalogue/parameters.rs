@@ -45,7 +45,7 @@ fn read<T>(
     value(text).ok_or_else(|| WrongParameter::Value { name, right: right.to_owned() })
 }
 
-/// A count. The model itself refuses one that is too high.
+/// A count. The model itself refuses a count that is too high.
 fn count(name: &'static str, text: &str, right: &str) -> Result<u32, WrongParameter> {
     let number: usize = read(name, text, right, |text| text.parse().ok())?;
     Ok(u32::try_from(number).unwrap_or(u32::MAX))

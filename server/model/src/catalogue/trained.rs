@@ -1,4 +1,4 @@
-//! How each kind of model is trained on the readings of a state, predicts, and is stored.
+//! Training on the readings of a state, prediction and storage of each kind of model.
 //!
 //! Invariant: the same readings, parameters and options give the same model; a stored model reads back as the same
 //! model, to the last bit.
@@ -124,8 +124,8 @@ impl ModelKind {
         })
     }
 
-    /// How warped hypertime of this kind is trained on values with a place; `None` for other kinds, which have no
-    /// distribution over places.
+    /// The training options of warped hypertime of this kind for values with a place; `None` for other kinds, which
+    /// have no distribution over places.
     pub fn hypertime_options(self) -> Option<HypertimeOptions> {
         let (method, clusters) = match self {
             Self::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),

@@ -21,10 +21,10 @@ const STACKED: [Member; super::stack::MEMBERS] =
 /// last day of the kind has the index [`LAST_ALIKE`].
 const DAYS_AGO: [(usize, i32); 5] = [(0, 1), (1, 2), (2, 7), (3, 14), (5, 28)];
 const LAST_ALIKE: usize = 4;
-/// How many days back a rotation takes values from, and after how many days such a value counts half.
+/// A rotation uses values of up to this many days back, and a value counts half after [`ROTATION_HALF_LIFE`] days.
 const ROTATION_DAYS: i32 = 84;
 const ROTATION_HALF_LIFE: f64 = 60.0;
-/// How many bins the weekday table counts as, beside those of the same weekdays of the month.
+/// The weekday table counts as this many bins, beside those of the same weekdays of the month.
 const NTH_PRIOR: f64 = 0.5;
 /// A chosen model with less weight is not evaluated at the moment itself; its value at the half-hour is used.
 const WEIGHT_MIN: f64 = 0.01;
@@ -45,9 +45,9 @@ pub(super) struct MemberDay {
 /// The predictions of an ensemble for one local day.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DayForecast {
-    /// The pool without the chosen model, weighted.
+    /// The weighted sum of the members of the pool without the chosen model.
     rest: [f64; SLOTS],
-    /// The chosen model, and its weight.
+    /// The predictions of the chosen model, and the weight of the model in the pool.
     chosen: [f64; SLOTS],
     chosen_weight: f64,
     /// The prediction by hour that counts where there are few bins: of the smooth table, else of the weekday table.
@@ -160,7 +160,7 @@ impl Ensemble {
         MemberDay { values, features, all, recent }
     }
 
-    /// How many days ago the same weekdays of earlier months were, such as the first Mondays.
+    /// The numbers of days back to the same weekdays of earlier months, such as the first Mondays.
     fn same_weekdays_of_month(&self, day: LocalDay) -> Vec<i32> {
         let number = |day: LocalDay| (day.date().2 - 1) / 7;
         let of_day = number(day);

@@ -72,11 +72,11 @@ const MEAN_SHARE: f64 = 0.1;
 const MEAN_LOOKS: f64 = 5.0;
 
 impl FarMember {
-    /// How many days back its data reaches; `None`: all days.
+    /// The number of days back that the data of the member reaches; `None`: all days.
     fn window_days(self) -> Option<f64> {
         match self {
             FarMember::Recent => Some(7.0),
-            // Models are trained on twelve weeks.
+            // Models are trained on twelve weeks, which is [`WINDOWS`] times this.
             FarMember::Chosen => Some(21.0),
             _ => None,
         }

@@ -21,7 +21,7 @@ pub(super) enum Member {
     RecentKind,
     /// The table with a half-life of a week by hour of the weekday.
     RecentWeekday,
-    /// The days before by the rotation that fits best.
+    /// The earlier days that the best rotation repeats.
     Rotation,
     /// The last days of the same kind.
     Alike,
@@ -31,7 +31,7 @@ pub(super) enum Member {
     SlowStack,
     /// The stack that forgets fast.
     FastStack,
-    /// The model that the update chose: an order of the spectral model, a histogram, or one trained on readings.
+    /// The model that the update chose: an order of the spectral model, a histogram, or a model trained on readings.
     Chosen,
     /// The smooth table for few bins.
     Smooth,

@@ -10,24 +10,24 @@ use crate::LocalDay;
 
 /// The shortest rotation in days.
 pub(super) const SHORTEST: usize = 2;
-/// The longest.
+/// The longest rotation in days.
 pub(super) const LONGEST: usize = 42;
 /// The week has its own table.
 const WEEK: usize = 7;
 /// The share of the sums that remains after each further observed day.
 const KEPT: f64 = 0.985;
-/// Steps between residuals of 0 and of 1.
+/// Number of steps between residuals of 0 and of 1.
 const STEPS: f64 = 127.0;
 
-/// How many numbers of days there are to choose from.
+/// Number of rotations to choose from.
 pub(super) const ROTATIONS: usize = LONGEST - SHORTEST + 1;
 
-/// The residuals of the last days, and how well each rotation fits.
+/// The residuals of the last days, and the fit of each rotation.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Rotation {
     /// Indexed by the day's number modulo [`LONGEST`]; empty before the first day.
     pub(super) residuals: Vec<[i8; SLOTS]>,
-    /// By number of days, from [`SHORTEST`]: faded sums of the daily sums of products, and of their squares.
+    /// Faded sums of the daily sums of products, and of their squares, by number of days from [`SHORTEST`].
     pub(super) products: [f32; ROTATIONS],
     pub(super) squares: [f32; ROTATIONS],
     pub(super) last: Option<LocalDay>,

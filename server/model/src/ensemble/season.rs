@@ -18,11 +18,11 @@ const BIN_DAYS: i64 = 5;
 /// Maximum number of means: four years.
 const BINS_MAX: usize = 293;
 const YEAR_DAYS: f64 = 365.25;
-/// Harmonics of the year.
+/// Maximum number of harmonics of the year.
 const ORDERS: usize = 3;
 /// A record, extended by one of its usual gaps, must span this share of a year.
 const YEAR_SEEN: f64 = 0.99;
-/// The share where the map names the year as a period.
+/// The share of a year that a record must span where the map names the year as a period.
 const EXPECTED_YEAR_SEEN: f64 = 0.9;
 /// The mean squared error of an order counts as larger by this.
 const ERROR_MIN: f64 = 0.02;
@@ -35,11 +35,11 @@ const RIDGE: f64 = 0.3;
 const OFTEN_SOLVED: usize = 40;
 /// Means less than this many days apart are neighbours.
 const ADJACENT_DAYS: f64 = 7.5;
-/// The number of bins that the rhythm counts as, beside the bins of the same days of earlier years.
+/// The rhythm counts as this many bins, beside the bins of the same days of earlier years.
 const RHYTHM_LOOKS: f64 = 4.0;
 /// The weight of the five days before and of the five days after.
 const BESIDE: f64 = 0.25;
-/// Earlier years that are remembered.
+/// Number of earlier years that are used.
 const YEARS: i64 = 4;
 
 /// The half-hour bins of five days.
@@ -63,7 +63,7 @@ pub(super) struct Season {
     pub(super) bins: Vec<Bin>,
     pub(super) first: Option<LocalDay>,
     pub(super) last: Option<LocalDay>,
-    /// How often each class of gaps between observed days occurred; see [`GAPS`].
+    /// Number of gaps between observed days in each class; see [`GAPS`].
     pub(super) gaps: [u32; GAPS.len()],
     pub(super) rhythm: Rhythm,
     /// The map names the year as a period. Not stored: each update sets it before it learns.
@@ -78,11 +78,11 @@ pub(super) const GAPS: [i64; 5] = [1, 2, 7, 15, 31];
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rhythm {
     pub(super) mean: f64,
-    /// Cosine and sine by harmonic, averaged over the orders.
+    /// Amplitudes of cosine and sine by harmonic, averaged over the orders.
     pub(super) waves: [[f64; 2]; ORDERS],
 }
 
-/// One order of the rhythm.
+/// The rhythm of one order, fitted to the means.
 struct Solved {
     order: usize,
     independent: f64,
@@ -101,7 +101,7 @@ fn phases(day: f64) -> [[f64; 2]; ORDERS] {
 impl Rhythm {
     pub(super) const UNKNOWN: Rhythm = Rhythm { mean: 0.5, waves: [[0.0; 2]; ORDERS] };
 
-    /// The value on a day, apart from the hour.
+    /// The value on a day, whatever the hour.
     pub(super) fn at(&self, day: LocalDay) -> f64 {
         if self.waves == [[0.0; 2]; ORDERS] {
             return clip(self.mean);

@@ -15,7 +15,7 @@ use super::week_table::WeekTable;
 use crate::hours_seen::{HOURS, Hours};
 use crate::special::square;
 
-/// Hours of weekday and weekend.
+/// Number of cells: the hours of weekday and weekend.
 const CELLS: usize = 2 * HOURS;
 /// The share of the variance that the daily shape has.
 const SHAPE_SHARE: f64 = 0.6;
@@ -23,9 +23,9 @@ const SHAPE_SHARE: f64 = 0.6;
 const WIDTHS: [f64; 2] = [1.5, 3.0];
 /// The prior probability that there is no daily shape.
 const NO_SHAPE: f64 = 0.7;
-/// The share of the shape's variance that each kind of day has for itself.
+/// The share of the variance of the shape that is separate for each kind of day.
 const OWN_KIND: f64 = 0.3;
-/// The share that an hour has for itself, without its neighbours.
+/// The share of the variance that is separate for each hour, without correlation to its neighbours.
 const OWN_HOUR: f64 = 0.15;
 /// Bins keep at least this share of the variance as noise.
 const NOISE_MIN: f64 = 0.08;

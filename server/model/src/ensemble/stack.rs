@@ -17,12 +17,12 @@ pub(super) const MEMBERS: usize = 7;
 pub(super) const RESIDUALS: usize = 6;
 /// Number of all features; the last feature is 1.
 pub(super) const FEATURES: usize = MEMBERS + RESIDUALS + 1;
-/// Entries of the lower triangle of the matrix of the sums.
+/// Number of entries of the lower triangle of the matrix of the sums.
 pub(super) const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
 
 /// The weights before the first bin: of kind and weekday tables of all history, and of the chosen model.
 const WEIGHTS: [f64; MEMBERS] = [0.335, 0.335, 0.0, 0.0, 0.0, 0.0, 0.33];
-/// How many bins the weights before the first bin count as: for members and residuals, and for the constant.
+/// The weights before the first bin count as this many bins: those of members and residuals, and that of the constant.
 const RIDGE: f64 = 20.0;
 const RIDGE_CONSTANT: f64 = 300.0;
 

@@ -13,7 +13,7 @@ use crate::special::ln_rising;
 
 /// The strengths of the priors, in bins.
 const STRENGTHS: [f64; 4] = [1.0, 5.0, 25.0, 125.0];
-/// Priors of a cell: each strength towards the coarser level, then each towards the neighbouring hours.
+/// Number of priors of a cell: each strength towards the coarser level, then each towards the neighbouring hours.
 pub(super) const PRIORS: usize = 2 * STRENGTHS.len();
 /// The weights of the priors before the first bin.
 const PRIOR_WEIGHTS: [f64; PRIORS] = [0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2];
@@ -28,12 +28,12 @@ const RESTING: f64 = RETURNED / (1.0 - KEPT);
 const AT_FIRST: f64 = 16.0;
 /// Number of neighbouring hours on each side; each further one counts half.
 const NEIGHBOURS: usize = 4;
-/// The number of bins that the coarser level counts as among the neighbours.
+/// The coarser level counts as this many bins among the neighbours.
 const NEIGHBOUR_PRIOR: f64 = 4.0;
 /// A prior mean is at least this far from 0 and 1.
 const EDGE: f64 = 1e-3;
 
-/// Levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
+/// Number of levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
 pub(super) const LEVELS: usize = 3;
 
 /// Sums over bins by hour of the local week, which fade by age if the table has a half-life.

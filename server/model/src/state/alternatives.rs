@@ -42,10 +42,10 @@ pub(super) struct TrainingRecord {
     pub(super) error: Option<f64>,
 }
 
-/// How a state is updated.
+/// The rules of an update of a state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UpdateRules {
-    /// Which error decides between orders and models.
+    /// The error that decides between orders and models.
     pub criterion: OrderCriterion,
     /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
     pub half_life_days: Option<f64>,
@@ -290,7 +290,7 @@ impl Alternatives {
         }
     }
 
-    /// Whether recent errors depart from their history.
+    /// The change alarm, which rings when recent errors depart from earlier ones.
     pub fn alarm(&self) -> &ChangeAlarm {
         &self.alarm
     }
@@ -311,7 +311,7 @@ impl Alternatives {
         self.gains.record(order, squared_errors, scored);
     }
 
-    /// A histogram of the learned readings; `None` where nothing was read, and for another kind of model.
+    /// A histogram of the learned readings; `None` where there are no readings, and for another kind of model.
     fn histogram(&self, kind: ModelKind) -> Option<Histogram> {
         let (cycle, bins) = kind.histogram()?;
         self.hours.histogram(cycle, bins)
@@ -468,7 +468,7 @@ impl Alternatives {
         self.supported = supported as u8;
     }
 
-    /// Learns an older day with the weight `factor`; a day of today has 1.
+    /// Learns an older day with the weight `factor`; a new day has the weight 1.
     pub(super) fn add_late(&mut self, samples: &[Sample], factor: f64) {
         let mut late = HourTable::default();
         late.add(samples);

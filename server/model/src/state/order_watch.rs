@@ -27,7 +27,7 @@ pub struct OrderWatch {
     supported: u8,
 }
 
-/// What an [`OrderWatch`] consists of, for storage.
+/// The parts of an [`OrderWatch`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderWatchParts {
     /// Daily gains of the chosen orders.
@@ -37,7 +37,7 @@ pub struct OrderWatchParts {
     /// Sum over pairs of successive learned readings of |change| / time between, per second; the two values are 0 and
     /// 1.
     pub change_rate_sum: f64,
-    /// Number of these changes.
+    /// Number of changes between successive learned readings.
     pub changes: u32,
     /// Whether the newest learned reading is the higher value; `None` before the first.
     pub last: Option<bool>,
@@ -151,7 +151,7 @@ impl OrderWatch {
         self.last
     }
 
-    /// Whether recent errors depart from their history.
+    /// The change alarm, which rings when recent errors depart from earlier ones.
     pub fn alarm(&self) -> &ChangeAlarm {
         &self.alarm
     }

@@ -23,7 +23,7 @@ pub(super) const CLASSES: usize = 5;
 pub(super) const FEATURES: usize = RECENT + 4;
 /// The weights of the features before the first bin, for a lead time of two days.
 const WEIGHTS: [f64; FEATURES] = [0.0, 0.25, 0.25, 0.0, 0.0, 0.0, 0.0];
-/// See [`knows_repeated`].
+/// Number of classes for which [`knows_repeated`] is true.
 const REPEATED_CLASSES: usize = 2;
 /// Members of a class, and their weights before the first bin.
 pub(super) const MEMBERS: usize = 3;
@@ -31,7 +31,7 @@ const PRIORS: [f64; MEMBERS] = [1.0, 0.5, 3.0];
 /// In a class that is not scored, a table that forgets has about half the weight at a lead time of this many of its
 /// half-lives.
 const WINDOWS: f64 = 4.0;
-/// How many hours the variance of all bins counts as, for each day of lead time.
+/// The variance of all bins counts as this many hours for each day of lead time.
 const FIRST_HOURS: f64 = 48.0;
 
 /// A lead-time class.
@@ -173,8 +173,8 @@ impl FarStacks {
         }
     }
 
-    /// How much wider predictions at a lead time of `days` are than those of the next day, at least 1. `of_looks`: the
-    /// variance of all bins.
+    /// The factor by which the variance of predictions at a lead time of `days` is larger than that of the next day, at
+    /// least 1. `of_looks`: the variance of all bins.
     pub(super) fn growth(&self, days: i64, near: &Spread, of_looks: f64) -> f64 {
         let of_near = near.of_all(of_looks);
         let mut widest = of_near;

@@ -15,7 +15,7 @@ use crate::{
     models::{Moment, TemporalModel},
 };
 
-/// How many days back the days are whose residuals are features.
+/// The residuals of the days this many days back are features.
 const DAYS_AGO: [i32; 4] = [1, 2, 7, 14];
 /// Number of the last bins of the day before whose mean residual is a feature.
 const LAST_LOOKS: usize = 2;

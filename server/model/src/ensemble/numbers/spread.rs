@@ -10,9 +10,9 @@ use crate::{
 
 /// The share of the sums that remains after each further observed day.
 const KEPT: f64 = 0.985;
-/// How many hours the variance of all half-hour bins counts as, beside all hours of the day.
+/// The variance of all half-hour bins counts as this many hours, beside all hours of the day.
 const FIRST_HOURS: f64 = 24.0;
-/// How many days all hours together count as, beside one hour.
+/// All hours together count as this many days, beside one hour.
 const ALL_DAYS: f64 = 3.0;
 
 /// Sum of squared errors, and their number.

@@ -6,7 +6,7 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-/// How many bins the weights before the first bin count as.
+/// The weights before the first bin count as this many bins.
 const RIDGE_LOOKS: f64 = 12.0;
 
 /// A regression on `N` features.

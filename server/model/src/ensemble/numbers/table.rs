@@ -11,7 +11,7 @@ use crate::hours_seen::{HOURS, kind_of_day};
 pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];
 /// Number of tables that forget.
 pub(super) const RECENT: usize = 3;
-/// How many bins the coarser level counts as.
+/// The coarser level counts as this many bins.
 const COARSER_LOOKS: f64 = 3.0;
 
 /// Sums and numbers of bins by hour.

@@ -10,8 +10,8 @@ use crate::{Sample, models::hour_runs, order::OrderCriterion};
 mod tests;
 
 impl Alternatives {
-    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before. `spectral_of`
-    /// predicts in hours for which neither a histogram nor a coarser one has readings.
+    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where there are no earlier readings.
+    /// `spectral_of` predicts in hours for which neither a histogram nor a coarser one has readings.
     ///
     /// For an hour without readings of the histogram itself, the errors by which models are compared use the mean of
     /// all readings: a histogram must not win by the values of a coarser one. Otherwise, after the first week, the
