@@ -1,14 +1,15 @@
-//! The newest reading: what recent readings say about a state now and a while ahead, and how much that counts.
+//! Short-term forecasts from the newest readings of a state, and the weight of these forecasts.
 //!
-//! A state of two values is a hidden chain that a sensor reads with errors. Its rates, the errors and how long it keeps
-//! a value are learned day by day, the errors only if nobody has stated them; a filter over its recent readings then
-//! gives the probability that it is 1 now and ahead. Other values stand for themselves. Either is blended into a
-//! prediction with a weight by lag, which is learned from the errors that both would have made. See [`recent`] for what
-//! an observation changes at once.
+//! A state of two values is a hidden chain that a sensor reads with errors. The rates of the chain, the errors of the
+//! sensor and the time for which the state keeps a value are learned day by day, the errors only if nobody has stated
+//! them. A filter over the recent readings then gives the probability that the state is 1 now and later. For other
+//! values the forecast is the newest value. The forecast is blended into a prediction with a weight by lead time, which
+//! is learned from the errors that both would have made. See [`recent`] for the data that an observation changes at
+//! once.
 //!
-//! Invariant: what is learned depends on the readings, their times and the stated sensor alone, takes constant memory,
-//! and each day is scored before it is learned. A blended probability lies in `[0,1]`, and far ahead it is the
-//! prediction itself.
+//! Invariant: the learned data depends on the readings, their times and the stated sensor alone and takes constant
+//! memory; each day is scored before it is learned. A blended probability lies in `[0,1]`, and at long lead times it is
+//! the prediction itself.
 
 use crate::{
     Sample,
@@ -67,7 +68,7 @@ impl Rates {
         self.rise_per_sec / self.sum()
     }
 
-    /// The probability of 1 after a time, from that before it: π + (b - π)·e^(-(α+β)Δ).
+    /// The probability of 1 after a time Δ, from the probability b before it: π + (b - π)·e^(-(α+β)Δ).
     fn after(self, before: f64, secs: f64) -> f64 {
         self.share() + (before - self.share()) * libm::exp(-self.sum() * secs)
     }
@@ -76,26 +77,26 @@ impl Rates {
 /// The newest learned reading: UTC nanoseconds and value.
 type Newest = (i64, f64);
 
-/// What is learned about the newest reading of a state; see the top of the file.
+/// The learned data for short-term forecasts of a state; see the top of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Belief {
     /// Whether every learned reading was 0 or 1.
     has_two_values: bool,
-    /// The sensor, where it is known; its errors are not learned then.
+    /// The sensor, where one was stated; its errors are not learned then.
     sensor: Option<StateSensor>,
     newest: Option<Newest>,
     recent: Recent,
-    /// Successive readings, taken as the truth.
+    /// Counts of successive readings, where readings are taken as the true values.
     seen: Transitions,
-    /// The rates that make them most likely.
+    /// The rates that make these counts most likely.
     seen_rates: Rates,
     /// Expected counts of successive hidden values.
     hidden: Transitions,
     hidden_rates: Rates,
-    /// Expected number of readings at the hidden values, and of the wrong ones among them.
+    /// Expected number of readings at each hidden value, and of the wrong readings among them.
     errors: noise::ErrorSums,
     noise: SensorNoise,
-    /// By how much sensor noise has made readings more likely that were not yet learned, in nats; fading.
+    /// The log-likelihood that sensor noise has gained on readings before they were learned, in nats; it fades.
     gain: f64,
     days: u32,
     dwells: Dwells,
@@ -103,7 +104,7 @@ pub struct Belief {
 }
 
 impl Belief {
-    /// Of a state without readings. `can_have_two_values`: it is a probability.
+    /// A belief of a state without readings. `can_have_two_values`: the state is a probability.
     pub fn new(can_have_two_values: bool) -> Belief {
         Belief {
             has_two_values: can_have_two_values,
@@ -123,7 +124,7 @@ impl Belief {
         }
     }
 
-    /// What readers need: a copy without what only learning needs. It answers the same.
+    /// A copy for readers, without the data that only learning needs. It gives the same forecasts.
     #[must_use]
     pub fn published(&self) -> Belief {
         Belief {
@@ -136,19 +137,19 @@ impl Belief {
         }
     }
 
-    /// The rates that make the readings most likely as the truth; `None` before the second reading, and for other
-    /// values than 0 and 1.
+    /// The rates that make the readings most likely, taken as the true values; `None` before the second reading, and
+    /// for other values than 0 and 1.
     pub fn rates_of_readings(&self) -> Option<Rates> {
         (self.has_two_values && !self.seen.is_empty()).then_some(self.seen_rates)
     }
 
-    /// The rates of the hidden chain, with the noise that counts.
+    /// The rates of the hidden chain, with the sensor noise that is in use.
     pub fn rates(&self) -> Rates {
         if self.is_noisy() { self.hidden_rates } else { self.seen_rates }
     }
 
-    /// The sensor's errors: those that were stated, else those that were learned, which are 0 unless they have made new
-    /// readings more likely.
+    /// The errors of the sensor: the stated ones, else the learned ones, which are 0 unless they have made new readings
+    /// more likely.
     pub fn noise(&self) -> SensorNoise {
         if self.is_noisy() { self.hidden_noise() } else { SensorNoise::default() }
     }
@@ -158,18 +159,18 @@ impl Belief {
         self.sensor.map_or(self.noise, StateSensor::noise)
     }
 
-    /// Whether readings are taken for those of a hidden chain.
+    /// Whether readings are treated as noisy readings of a hidden chain.
     fn is_noisy(&self) -> bool {
         self.sensor.is_some() || self.gain > learn::GAIN_MIN
     }
 
-    /// Whether the times for which it keeps its values are known, beyond rates.
+    /// Whether the lengths of dwells are known, and not only the rates.
     pub fn knows_dwells(&self) -> bool {
         self.has_two_values && self.dwells.are_known(self.rates(), self.seen.mean_gap_secs())
     }
 
-    /// Draws predictions towards what the newest readings say. `recent` and `newest` are those of the state now;
-    /// predictions of times before the newest reading stay as they are. `out` is as long as the moments.
+    /// Draws predictions towards the forecasts from the newest readings. `recent` and `newest` are those of the state
+    /// now; predictions for times before the newest reading stay as they are. `out` is as long as the moments.
     pub fn blend_into(&self, recent: &Recent, newest: Option<(i64, f64)>, moments: &[Moment], out: &mut [f64]) {
         let Some((newest_nanos, value)) = newest else { return };
         let lags = moments.iter().map(|moment| lag_secs(newest_nanos, moment.utc_nanos));
@@ -182,7 +183,7 @@ impl Belief {
         }
     }
 
-    /// What the recent readings say of the time after the newest one.
+    /// The forecasts from the recent readings for the time after the newest one.
     fn ahead(&self, recent: &Recent, (newest_nanos, value): Newest, longest_secs: f64) -> Ahead {
         if !self.has_two_values || recent.newest_nanos() != Some(newest_nanos) {
             return Ahead::constant(value);
@@ -196,13 +197,13 @@ impl Belief {
         }
     }
 
-    /// What a reading is expected to be, from what the state is: as everything that is learned from readings, a
-    /// prediction is of the next reading. What was taken for errors may as well be short changes.
+    /// The expected reading for a forecast of the state. A prediction is one of the next reading, as all learned data
+    /// is of readings: readings that count as errors may also be short changes of the state.
     fn reading(&self, said: f64) -> f64 {
         if self.has_two_values { self.noise().reading(said) } else { said }
     }
 
-    /// For how long the newest readings are trusted before lags were scored, in seconds.
+    /// For how long the newest readings are trusted while lead times are not yet scored, in seconds.
     fn trust_secs(&self) -> f64 {
         if self.has_two_values { lag::TRUSTED_TIMES / self.rates().sum() } else { lag::PRIOR_TRUST_SECS }
     }
@@ -216,7 +217,7 @@ fn lag_secs(newest_nanos: i64, utc_nanos: i64) -> Option<f64> {
 /// A reading of a state of two values: UTC nanoseconds, and whether it was 1.
 type Look = (i64, bool);
 
-/// The readings newer than a time, each newer than the one before.
+/// The readings after a time, each newer than the one before.
 fn looks_after(last_nanos: Option<i64>, samples: &[Sample]) -> Vec<Look> {
     let mut looks: Vec<Look> = Vec::with_capacity(samples.len());
     for sample in samples {

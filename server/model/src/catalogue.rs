@@ -1,13 +1,13 @@
-//! The catalogue of models: every kind with its parameters, and what the rest of the code must know of it.
+//! The catalogue of models: every kind with its parameters, and the properties that the rest of the code needs.
 //!
 //! The selector of a query, the choice of the nightly update, the cache of models that are trained on request,
-//! `evaluate`, experiments, the Python package, the wire and the command line all read this table. How a kind is
-//! trained on readings, predicts and is stored stands in [`trained`]; its formulae stand in a file of its own in
+//! `evaluate`, experiments, the Python package, the wire and the command line all read this table. [`trained`] defines
+//! how a kind is trained on readings, predicts and is stored; the formulae of each kind are in a file of its own in
 //! `models/`.
 //!
-//! Invariant: a kind has one name and one list of the states that support it, and they stand here; so do its defaults,
-//! except the number of clusters in experiments (`parameters.rs`).
-//! A kind with parameters that differ is another model: two of them are never compared, scored or cached as one.
+//! Invariant: a kind has one name and one list of the states that support it, and both are defined here; so are its
+//! defaults, except the number of clusters in experiments (`parameters.rs`). A kind with other parameters is another
+//! model: two of them are never compared, scored or cached as one.
 
 use std::ops::RangeInclusive;
 
@@ -33,11 +33,10 @@ const COMPONENTS: u32 = 3;
 
 pub use crate::models::NIGHTLY_WINDOW_NANOS;
 
-/// Which model answers.
+/// The model that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelKind {
-    /// What answers by default: the ensemble where a state has one, else the model and order that the last update
-    /// chose.
+    /// The default: the ensemble where a state has one, else the model and order that the last update chose.
     #[default]
     Auto,
     /// The mean of the learned values.
@@ -50,9 +49,9 @@ pub enum ModelKind {
     Persistence,
     /// The mean of each interval of a cycle (RA-L 2019, section IV).
     Histogram {
-        /// What repeats.
+        /// The cycle that repeats.
         cycle: HistogramCycle,
-        /// Intervals of the cycle; of weekday and weekend, of each.
+        /// Number of intervals of the cycle; for weekday and weekend, number for each of the two.
         bins: u32,
     },
     /// Periodic mixture of Gaussians (ICRA 2015, eq. 5 to 7).
@@ -76,10 +75,11 @@ pub enum ModelKind {
     Poisson,
     /// Regression on the rhythms of day and week.
     Calibrated,
-    /// All that predicts a state, weighted by how well each has predicted, with what the looks speak for.
+    /// All models of a state, weighted by how well each has predicted, with the uncertainty that follows from the
+    /// number of half-hour bins.
     Ensemble,
-    /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO
-    /// 2017, section III.B).
+    /// The strongest components of the Fourier transform of regular readings, and the outliers from these (T-RO 2017,
+    /// section III.B).
     Uniform,
 }
 
@@ -99,26 +99,26 @@ pub const TRAINED_AT_NIGHT: [ModelKind; 5] =
 /// The states that support a kind of model, by what their values mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SupportedStates {
-    /// All.
+    /// All states.
     All,
-    /// Those of probabilities; cells of a grid are such.
+    /// States of probabilities; cells of a grid are such.
     Probabilities,
-    /// Those of counts.
+    /// States of counts.
     Counts,
 }
 
-/// Where a model comes from when a query asks for it.
+/// The source of a model for a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Training {
-    /// What updates publish of each state, and of each cell of a grid, is the model: it answers at once.
+    /// Updates publish the model of each state, and of each cell of a grid: it predicts at once.
     Published,
-    /// As [`Training::Published`], but of named states alone: cells do not have it.
+    /// Updates publish the model of each named state; cells do not have it.
     PublishedOfStates,
-    /// It is trained on the readings of the state: on request, and at night if it is in [`TRAINED_AT_NIGHT`].
+    /// The model is trained on the readings of the state: on request, and at night if it is in [`TRAINED_AT_NIGHT`].
     OnReadings(TrainingCost),
 }
 
-/// How long the training of one model takes on the readings of twelve weeks.
+/// The training time of one model on the readings of twelve weeks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TrainingCost {
     /// Milliseconds: it may be repeated daily.
@@ -129,14 +129,14 @@ pub enum TrainingCost {
     High,
 }
 
-/// What is known of a kind of model, whatever its parameters.
+/// The properties of a kind of model that do not depend on its parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct ModelInfo {
     /// The name without parameters, on the command line, in protocols and in Python.
     pub name: &'static str,
-    /// The states that support it.
+    /// The states that support the model.
     pub states: SupportedStates,
-    /// Where it comes from.
+    /// The source of the model for a query.
     pub training: Training,
     /// The names of its parameters in protocols and in Python: see [`ParameterSet`].
     pub parameters: &'static [&'static str],
@@ -231,18 +231,18 @@ struct NamedParameters<'a> {
     period_nanos: Option<&'a mut i64>,
 }
 
-/// What the number in the name of a model counts, as in `pergam:3`, and its maximum; the minimum is 1.
+/// The meaning of the number in the name of a model, as in `pergam:3`, and its maximum; the minimum is 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CountLimit {
-    /// The maximum.
+    /// The maximum of the number.
     pub max: u32,
-    /// What it counts, such as `bins`.
+    /// The noun for the counted items, such as `bins`.
     pub noun: &'static str,
-    /// Of what, such as ` a day`; may be empty.
+    /// The unit to which the count refers, such as ` a day`; may be empty.
     pub per: &'static str,
 }
 
-/// What the table says of a model, and its parameters.
+/// Properties of a model from the table, and its parameters.
 impl ModelKind {
     /// The kind of a name, with its default parameters; `None` for any other name.
     pub fn named(name: &str) -> Option<Self> {
@@ -254,7 +254,7 @@ impl ModelKind {
         self.info().name
     }
 
-    /// Whether states whose values have this meaning support it.
+    /// Whether states of this kind support the model.
     pub fn supports(self, kind: StateKind) -> bool {
         self.info().states.contains(kind)
     }
@@ -276,12 +276,12 @@ impl ModelKind {
         self.info().training == Training::Published
     }
 
-    /// Whether it answers from the newest value, which no update may have learned yet.
+    /// Whether it predicts from the newest value, which may not be learned by an update yet.
     pub fn takes_newest(self) -> bool {
         matches!(self, Self::Latest | Self::Persistence)
     }
 
-    /// How long its training takes; `None` if it is not trained on readings.
+    /// The training time of the model; `None` if it is not trained on readings.
     pub fn cost(self) -> Option<TrainingCost> {
         match self.info().training {
             Training::Published | Training::PublishedOfStates => None,
@@ -304,7 +304,7 @@ impl ModelKind {
         self.parameters_mut().count.map(|(count, _)| *count)
     }
 
-    /// What [`ModelKind::count`] counts, and its maximum.
+    /// The meaning of [`ModelKind::count`], and its maximum.
     pub fn count_limit(mut self) -> Option<CountLimit> {
         self.parameters_mut().count.map(|(_, limit)| limit)
     }
@@ -318,7 +318,7 @@ impl ModelKind {
         self
     }
 
-    /// What repeats; `None` if it is no histogram.
+    /// The cycle that repeats; `None` if it is no histogram.
     pub fn cycle(mut self) -> Option<HistogramCycle> {
         self.parameters_mut().cycle.copied()
     }
@@ -354,7 +354,7 @@ impl ModelKind {
 }
 
 impl SupportedStates {
-    /// Whether states whose values have this meaning are among them.
+    /// Whether states of this kind are among these states.
     pub fn contains(self, kind: StateKind) -> bool {
         match self {
             Self::All => true,
@@ -363,7 +363,7 @@ impl SupportedStates {
         }
     }
 
-    /// Their values, in words.
+    /// The values of these states, in words.
     pub fn values(self) -> &'static str {
         match self {
             Self::All => "any values",
@@ -373,10 +373,10 @@ impl SupportedStates {
     }
 }
 
-/// What is stored of the choice of an update.
+/// The stored form of the choice of an update.
 impl ModelKind {
-    /// The number under which the first of [`TRAINED_AT_NIGHT`] is stored as the one in force, clear of those of
-    /// [`HISTOGRAMS`]; the others follow.
+    /// The number under which the first of [`TRAINED_AT_NIGHT`] is stored as the model in force; the others follow.
+    /// Smaller numbers are free for [`HISTOGRAMS`].
     const TRAINED_ID: u8 = 128;
 
     /// The number under which a model that is in force is stored: 0 the spectral model, from 128 on those of

@@ -1,15 +1,15 @@
-//! An ensemble of members that predict the looks of one state, weighted by how well each has predicted before.
+//! An ensemble of members that predict the half-hour bins of one state, weighted by how well each has predicted before.
 //!
 //! The members are tables by hour of the week with all history and with a half-life of a week, rotations of some days,
-//! the last days of the same kind, the same weekday of the month, a smooth table for few looks, stacks of all of these
-//! with what the last days left over, and the model that the nightly update chose. A look is the mean of the readings
-//! of one half-hour ([`looks`]): more readings of the same world make nothing surer. Each local day is predicted, the
-//! members are judged by its looks (T-RO section IV.B), and then it is learned. Up to six days ahead the pool of the
-//! next days answers; farther ahead the members are weighted by how well they predicted as far ahead ([`outlook`]). At
-//! hours that were hardly looked at the smooth table answers.
+//! the last days of the same kind, the same weekday of the month, a smooth table for few bins, stacks of all of these
+//! and of the residuals of the last days, and the model that the nightly update chose. A half-hour bin is the mean of
+//! the readings of one half-hour of one day ([`looks`]): more readings in a bin add no certainty. Each local day is
+//! predicted, the members are scored on its bins (T-RO section IV.B), and then the day is learned. Up to a lead time of
+//! six days the pool of the next days predicts; at longer lead times the members are weighted by how well they
+//! predicted at such lead times ([`outlook`]). At hours with very few bins the smooth table predicts.
 //!
-//! Invariant: what an ensemble knows is a function of the looks and their days, as long as days come in order and are
-//! not split; predictions are at least 0.001 away from 0 and 1.
+//! Invariant: the learned data of an ensemble is a function of the bins and their days, as long as days come in order
+//! and are not split; predictions are at least 0.001 away from 0 and 1.
 
 mod any;
 mod calibration;
@@ -57,11 +57,11 @@ const RECENT_DAYS: f64 = 7.0;
 /// The shares of their sums that the stacks keep after each further observed day.
 const SLOW: f64 = 0.985;
 const FAST: f64 = 0.94;
-/// The last days of the same kind: each counts this share of the next.
+/// The weight of a day of the same kind, relative to the next newer one.
 const ALIKE_KEPT: f64 = 0.7;
-/// The smooth table is made again when the number of looks has grown by this share.
+/// The smooth table is computed again when the number of bins has grown by this share.
 const SMOOTH_GROWTH: f64 = 0.05;
-/// With more looks at every hour the smooth table is not needed.
+/// With this many equivalent bins at every hour the smooth table is not needed.
 const SMOOTH_LOOKS: f64 = 8.0;
 
 /// The last days of weekdays and of weekends, by half-hour.
@@ -69,11 +69,11 @@ const SMOOTH_LOOKS: f64 = 8.0;
 struct AlikeDays {
     sums: [[f32; SLOTS]; 2],
     looks: [[f32; SLOTS]; 2],
-    /// The newest look; negative: none.
+    /// The value of the newest bin; negative: none.
     last: [[f32; SLOTS]; 2],
 }
 
-/// What answers far ahead, made when it is first asked for.
+/// The forecasts for long lead times, computed at the first request.
 #[derive(Clone, Debug)]
 struct FarView {
     profile: Profile,
@@ -97,15 +97,15 @@ pub struct Ensemble {
     calibration: Calibration,
     smooth: Option<KindHours>,
     smooth_looks: f64,
-    /// How many looks speak for each hour; follows from the table of all history.
+    /// Equivalent number of bins of each hour; follows from the table of all history.
     known: KindHours,
-    /// Made on demand from the rest.
+    /// Computed on demand from the other fields.
     far: OnceLock<Box<FarView>>,
     /// The day that is about to be learned; between updates there is none.
     prepared: Option<Box<PreparedDay>>,
 }
 
-/// What is predicted for a day before it is learned.
+/// The predictions for a day before it is learned.
 #[derive(Clone, Debug)]
 struct PreparedDay {
     day: LocalDay,
@@ -126,7 +126,7 @@ impl Default for Ensemble {
 }
 
 impl Ensemble {
-    /// An ensemble without looks.
+    /// An ensemble that has learned no bins.
     pub fn new() -> Ensemble {
         Ensemble {
             sum: 0.0,
@@ -149,7 +149,7 @@ impl Ensemble {
         }
     }
 
-    /// Number of looks learned: half-hours of single days with a reading.
+    /// Number of learned bins: half-hours of single days with a reading.
     pub fn looks(&self) -> f64 {
         self.looks
     }
@@ -159,13 +159,13 @@ impl Ensemble {
         self.recall.last()
     }
 
-    /// The mean of all looks, shrunk to 0.5 by one.
+    /// The mean of all bins and of one further bin with the value 0.5.
     pub fn mean(&self) -> f64 {
         (self.sum + 0.5) / (self.looks + 1.0)
     }
 
-    /// Predicts a day that is about to be learned, once for all that judge it before. A day that is not newer than all
-    /// before is not predicted. `chosen`: the model that the update had chosen before the day.
+    /// Predicts a day that is about to be learned, once for all callers that score its readings. A day that is not
+    /// newer than all learned days is not predicted. `chosen`: the model that the update had chosen before the day.
     pub fn prepare(&mut self, day: LocalDay, chosen: &dyn TemporalModel) {
         let last = self.recall.last();
         if last.is_some_and(|last| day <= last) || self.prepared.as_ref().is_some_and(|known| known.day == day) {
@@ -180,15 +180,15 @@ impl Ensemble {
         self.prepared = Some(Box::new(PreparedDay { day, members, forecast }));
     }
 
-    /// Whether the map names the year as a period: then a rhythm of the year needs no evidence that there is one.
+    /// Sets whether the map names the year as a period: then a rhythm of the year needs no evidence.
     pub fn expect_year(&mut self, is_expected: bool) {
         self.season.is_expected = is_expected;
     }
 
-    /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
-    /// added without judging. `samples`: its readings in order of time; `chosen`: the model that the update had chosen
-    /// before the day. Gives the squared error of the predictions for `newer`, those of the samples that no earlier
-    /// day has; `None` where the day was not judged.
+    /// Learns a local day: scores all members on its bins, then adds the bins. A day that is not newer than all learned
+    /// days is added without scoring. `samples`: the readings of the day in order of time; `chosen`: the model that the
+    /// update had chosen before the day. Returns the sum of the squared errors of the predictions for `newer`, the
+    /// samples that no earlier day has; `None` where the day was not scored.
     pub fn learn_day(
         &mut self,
         day: LocalDay,
@@ -262,7 +262,7 @@ impl Ensemble {
         self.recall.learn(day, looks);
     }
 
-    /// Adds looks of a day that is not the newest.
+    /// Adds the bins of a day that is not the newest.
     fn add_late(&mut self, day: LocalDay, looks: &DayLooks) {
         let age_days = self.recall.last().map_or(0.0, |last| f64::from(last.0) - f64::from(day.0));
         for table in [&mut self.all, &mut self.recent] {
@@ -272,14 +272,14 @@ impl Ensemble {
         self.make_smooth();
     }
 
-    /// Lets the days without looks between two days pass.
+    /// Ages the learned data by the days without bins between two days.
     fn pass(&mut self, last: LocalDay, day: LocalDay) {
         let days = i64::from(day.0) - i64::from(last.0) - 1;
         if days > 0 {
             self.all.pass(days as f64);
             self.recent.pass(days as f64);
         }
-        // The day itself, too, ages the days of its kind.
+        // `day` itself ages the days of its kind too, in `learn_alike`.
         for kind in 0..2 {
             let of_kind = (1..=days.min(4 * 7))
                 .filter(|back| kind_of_day(LocalDay(day.0.saturating_sub(*back as i32)).weekday()) == kind);
@@ -299,7 +299,7 @@ impl Ensemble {
         }
     }
 
-    /// Makes the smooth table again where it is due. Its dates depend on the number of looks alone.
+    /// Computes the smooth table again where that is due. When it is due depends on the number of bins alone.
     fn make_smooth(&mut self) {
         self.known = equivalent_looks(&self.all.looks_by_kind());
         let needed = self.known.as_flattened().iter().any(|&looks| looks < SMOOTH_LOOKS);
@@ -311,7 +311,7 @@ impl Ensemble {
         }
     }
 
-    /// What the members say of the week after the last day.
+    /// The forecasts of the members for the week after the last day.
     fn profile(&self, chosen: &dyn TemporalModel) -> Profile {
         let mean = self.mean();
         let mixed = |table: &WeekTable, share: f64| {
@@ -343,10 +343,10 @@ impl Ensemble {
     }
 }
 
-/// The parts of one look by which a model with finer steps is judged.
+/// The largest number of parts into which a bin is split to score a model with finer time steps.
 const PARTS_JUDGED: usize = 6;
 
-/// Some readings of one look that follow each other, with what the chosen model predicted at the middle one.
+/// Successive readings of one bin, with the prediction of the chosen model at the middle one.
 struct LookPart {
     slot: usize,
     number: f64,
@@ -364,7 +364,7 @@ impl LookPart {
     }
 }
 
-/// At most [`PARTS_JUDGED`] parts of each look. `samples`: of one day, in order of time.
+/// At most [`PARTS_JUDGED`] parts of each bin. `samples`: the readings of one day, in order of time.
 fn look_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<LookPart> {
     let slot = |sample: &Sample| slot_at(sample.civil_nanos());
     let looks = samples.chunk_by(|one, next| slot(one) == slot(next));
@@ -379,13 +379,13 @@ fn look_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<LookPart> {
     parts.filter_map(part).collect()
 }
 
-/// The loss of the chosen model at each look of a day: the mean over its parts.
+/// The loss of the chosen model in each bin of a day: the mean over the parts of the bin.
 fn look_losses(parts: &[LookPart]) -> [f64; SLOTS] {
     let mut losses = [0.0; SLOTS];
     for look in parts.chunk_by(|one, next| one.slot == next.slot) {
         let number: f64 = look.iter().map(|part| part.number).sum();
         let mean = look.iter().map(|part| part.number * part.mean).sum::<f64>() / number;
-        // What the values differ within the look is no fault of the model.
+        // Differences between the parts of a bin do not count as errors of the model.
         let loss = |part: &LookPart| part.number * (pool::loss(part.chosen, part.mean) - square(part.mean - mean));
         if let Some(first) = look.first() {
             losses[first.slot] = look.iter().map(loss).sum::<f64>() / number;

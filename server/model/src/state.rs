@@ -1,8 +1,8 @@
 //! The long-term model of one state, and its update.
 //!
 //! An update goes through the local days: first it scores each order on the observations of the day with the model of
-//! the day before, then the model learns the day (T-RO section IV.B). So scores are of predictions, never of training
-//! data. Invariant: the result of an update does not depend on how it was batched, as long as no local day is split and
+//! the day before, then the model learns the day (T-RO section IV.B). So predictions are scored, never training data.
+//! Invariant: the result of an update does not depend on how it was batched, as long as no local day is split and
 //! batches come in order of time; data older than the last learned observation is never scored. Models that are trained
 //! on readings between updates ([`StateModel::with_trained`]) take part from the next day on.
 
@@ -44,10 +44,10 @@ pub struct StateModel {
     errors: OrderErrors,
     /// `None` while the state is untrained.
     alternatives: Option<Box<Alternatives>>,
-    /// Likewise.
+    /// `None` while the state is untrained, unless its sensor is stated.
     belief: Option<Box<Belief>>,
     surprises: Surprises,
-    /// How it is reported, and what of its rows is learned; `None` if each row is a reading.
+    /// The way in which the state is reported, and the record of its learned rows; `None` if each row is a reading.
     reported: Option<Box<(Reporting, LearnedRows)>>,
 }
 
@@ -60,7 +60,7 @@ pub struct UpdateOutcome {
     pub order: usize,
     /// Observations learned.
     pub observations: u64,
-    /// Of these, observations that were predicted first and scored.
+    /// Number of these observations that were predicted first and scored.
     pub scored: u64,
     /// Sum of squared errors over the scored observations, per order 0..=[`ORDER_MAX`].
     pub squared_errors: [f64; ORDER_MAX + 1],
@@ -143,8 +143,8 @@ impl StateModel {
         StateModel { alternatives: Some(Box::new(alternatives)), ..self }
     }
 
-    /// What readers need of the model: a copy without the sums over periodicities, and without trained models that are
-    /// not in force. It gives the same predictions to the last bit, and cannot be updated.
+    /// A copy for readers, without the sums over periodicities, and without trained models that are not in force. It
+    /// gives the same predictions to the last bit, and cannot be updated.
     #[must_use]
     pub fn published(&self) -> StateModel {
         StateModel {
@@ -159,23 +159,23 @@ impl StateModel {
         }
     }
 
-    /// This state as one that is reported otherwise than by samples, with what of its rows is learned.
+    /// This state with another way of reporting than by samples, and with the record of its learned rows.
     #[must_use]
     pub fn with_reporting(self, reporting: Reporting, learned: LearnedRows) -> StateModel {
         StateModel { reported: reporting.may_end().then(|| Box::new((reporting, learned))), ..self }
     }
 
-    /// How its rows come about.
+    /// The way in which the state is reported.
     pub fn reporting(&self) -> Reporting {
         self.reported.as_ref().map_or(Reporting::Samples, |known| known.0)
     }
 
-    /// What of its rows is learned; `None` if each row is a reading.
+    /// The record of the learned rows of the state; `None` if each row is a reading.
     pub fn learned_rows(&self) -> Option<&LearnedRows> {
         self.reported.as_ref().map(|known| &known.1)
     }
 
-    /// Number of its observations that are learned: rows, of which one may stand for many readings.
+    /// Number of learned observations: rows, each of which may represent many readings.
     pub fn learned_observations(&self) -> u64 {
         let of_rows = |learned: &LearnedRows| learned.rows.saturating_sub(learned.waiting.len() as u64);
         self.learned_rows().map_or(self.accumulator.observations(), of_rows)
@@ -187,7 +187,7 @@ impl StateModel {
         StateModel { surprises, ..self }
     }
 
-    /// The unusual observations among those that it has learned, as it was before that.
+    /// The observations that were unusual for the state before it learned them.
     pub fn surprises(&self) -> &Surprises {
         &self.surprises
     }
@@ -197,12 +197,12 @@ impl StateModel {
         self.alternatives.as_deref()
     }
 
-    /// What answers by default: the ensemble where the state has one, else the chosen model.
+    /// The kind of model that predicts by default: the ensemble where the state has one, else the chosen model.
     pub fn answers(&self) -> ModelKind {
         if self.ensemble().is_some() { ModelKind::Ensemble } else { self.choice() }
     }
 
-    /// The ensemble, if it answers: it is enabled, and has looks.
+    /// The ensemble, if it is used for predictions: it is enabled, and has learned a day.
     pub fn ensemble(&self) -> Option<&AnyEnsemble> {
         self.alternatives.as_ref()?.ensemble().filter(|ensemble| ensemble.last_day().is_some())
     }
@@ -213,30 +213,31 @@ impl StateModel {
         self.alternatives.as_ref().map_or(ModelKind::Spectral, |alternatives| alternatives.choice())
     }
 
-    /// What the update has chosen, or the spectral model: the member of the ensemble that updates choose.
-    /// `periodicities` are those of its map.
+    /// The model that the last update chose, or the spectral model; it is a member of the ensemble. `periodicities` are
+    /// those of the map of the state.
     pub fn chosen_member<'a>(&'a self, periodicities: &'a Periodicities) -> ChosenMember<'a> {
         let (model, order, kind) = (&self.spectral, self.order(), self.kind());
         let spectral = SpectralAtOrder { model, order, kind, periodicities };
         ChosenMember { chosen: self.chosen(periodicities), spectral }
     }
 
-    /// The predictive distributions of a probability at moments, which are best in order of time; `None` where no
-    /// ensemble answers. `periodicities` are those of its map.
+    /// The predictive distributions of a probability at moments; `None` where no ensemble predicts. Faster if the
+    /// moments are in order of time. `periodicities` are those of the map of the state.
     pub fn predictive(&self, periodicities: &Periodicities, moments: &[Moment]) -> Option<Vec<Predictive>> {
         Some(self.ensemble()?.of_probability()?.predict(moments, &self.chosen_member(periodicities)))
     }
 
-    /// The predictive distributions around predictions of any model of a probability: how many looks speak for an hour,
-    /// and how its readings depend on each other, do not depend on the model. `None` where no ensemble answers.
+    /// The predictive distributions around predictions of any model of a probability: the equivalent number of
+    /// half-hour bins of an hour, and how its readings depend on each other, do not depend on the model. `None` where
+    /// no ensemble predicts.
     pub fn predictive_around(&self, moments: &[Moment], probabilities: &[f64]) -> Option<Vec<Predictive>> {
         let ensemble = self.ensemble()?.of_probability()?;
         let pairs = moments.iter().zip(probabilities);
         Some(pairs.map(|(&at, &probability)| ensemble.around(at, probability)).collect())
     }
 
-    /// What answers: the models that have predicted best so far; `None` if it is the spectral model alone.
-    /// `periodicities` are those of its map.
+    /// The models in force, which have predicted best so far; `None` if it is the spectral model alone. `periodicities`
+    /// are those of the map of the state.
     pub fn chosen<'a>(&'a self, periodicities: &'a Periodicities) -> Option<ActiveModel<'a>> {
         let (model, order, kind) = (&self.spectral, self.order(), self.kind());
         self.alternatives.as_ref()?.chosen(SpectralAtOrder { model, order, kind, periodicities })
@@ -264,7 +265,7 @@ impl StateModel {
         self
     }
 
-    /// What its values mean.
+    /// The kind of the values of the state.
     pub fn kind(&self) -> StateKind {
         self.accumulator.kind()
     }
@@ -299,7 +300,7 @@ impl StateModel {
         self.order
     }
 
-    /// How well each order has predicted.
+    /// The errors of the predictions of each order.
     pub fn errors(&self) -> &OrderErrors {
         &self.errors
     }
@@ -307,7 +308,7 @@ impl StateModel {
     /// Brings the sums over periodicities into memory, for [`StateModel::update`].
     ///
     /// # Errors
-    /// Why they cannot be read from where they are held. An update would learn nothing.
+    /// The reason why the stored sums cannot be read. An update would learn nothing.
     pub fn load(&mut self, periodicities: &Periodicities) -> Result<(), String> {
         self.accumulator.unpack(periodicities)
     }
@@ -316,7 +317,7 @@ impl StateModel {
     /// every enabled model, chooses, learns the day and trains the spectral model again. Models that are trained on
     /// readings stay as they are: the caller trains them between days, with [`StateModel::with_trained`].
     ///
-    /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
+    /// A local day that is split over two updates is scored in two parts, the second with the model that has learned
     /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
     pub fn update(
         &mut self,
@@ -327,8 +328,8 @@ impl StateModel {
         self.update_judged(periodicities, rules, samples, &mut |_, _, _| ())
     }
 
-    /// As [`StateModel::update`]. Of each local day `judge` is told first, with the state before it learns the day; it
-    /// brings the state's unusual observations up to date.
+    /// Does the same as [`StateModel::update`], and calls `judge` for each local day, with the state before it learns
+    /// the day; `judge` brings the state's unusual observations up to date.
     pub fn update_judged(
         &mut self,
         periodicities: &Periodicities,
@@ -362,7 +363,7 @@ impl StateModel {
             let in_force = self.learn_ensemble(periodicities, rules, day, of_day);
             self.score_day(periodicities, rules, day, of_day, in_force, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);
-            // Trained again each day, so that the next day is scored with the knowledge before it.
+            // Trained again each day, so that the next day is scored with a model of all days before it.
             if let Some(alternatives) = &mut self.alternatives {
                 self.spectral = SpectralModel::train_with_gaps(&self.accumulator, periodicities, alternatives.gaps());
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
@@ -400,8 +401,8 @@ impl StateModel {
         }
     }
 
-    /// Lets the ensemble judge and learn a day, before the day changes what is chosen. Gives the squared error of the
-    /// ensemble's predictions of the day's newer samples; `None` where it did not answer.
+    /// Lets the ensemble score and learn a day, before the day changes which model is chosen. Returns the sum of the
+    /// squared errors of the ensemble's predictions of the day's newer samples; `None` where it did not predict.
     fn learn_ensemble(
         &mut self,
         periodicities: &Periodicities,
@@ -417,7 +418,7 @@ impl StateModel {
         })?
     }
 
-    /// Changes the ensemble, with the model that was chosen; `None` where there is no ensemble.
+    /// Calls `change` with the ensemble and the chosen model; `None` where there is no ensemble.
     fn with_ensemble<T>(
         &mut self,
         periodicities: &Periodicities,
@@ -426,7 +427,7 @@ impl StateModel {
     ) -> Option<T> {
         let kind = self.kind();
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));
-        // Out of the state meanwhile, which has the model that was chosen.
+        // The ensemble is taken out of the state, because `change` also borrows the chosen model from the state.
         let mut ensemble = alternatives.ensemble_mut().take().filter(|_| rules.models.has_ensemble())?;
         let chosen = self.chosen_member(periodicities);
         let changed = change(Arc::make_mut(&mut ensemble), chosen.others());
@@ -436,8 +437,8 @@ impl StateModel {
         Some(changed)
     }
 
-    /// Scores the samples of a day that are newer than all earlier ones, and chooses. `in_force`: the squared error of
-    /// the ensemble, where it answered.
+    /// Scores the samples of a day that are newer than all earlier ones, and chooses a model. `in_force`: the sum of
+    /// the squared errors of the ensemble, where it predicted.
     fn score_day(
         &mut self,
         periodicities: &Periodicities,

@@ -1,7 +1,7 @@
-//! The probability of 1 in the time after the newest reading.
+//! Forecasts: the probability of 1 by lead time after the newest reading.
 //!
-//! For known dwells by renewal: what is known now lasts or changes; after a change a dwell begins with age 0.
-//! Invariant: probabilities lie in `[0,1]`.
+//! For known dwells the forecast is a renewal process: the present dwell lasts or ends; after a change a dwell begins
+//! with age 0. Invariant: probabilities lie in `[0,1]`.
 
 use super::{
     Rates,
@@ -9,15 +9,15 @@ use super::{
     filter::{Hypothesis, STEPS_PER_DWELL},
 };
 
-/// Steps of a curve.
+/// Number of steps of a curve.
 const STEPS: usize = 96;
 /// A curve ends after this many mean dwells at both values; from there on it is constant.
 const END: f64 = 16.0;
 
-/// What the newest readings say of the time after them.
+/// The forecasts from the newest readings for the time after them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Ahead {
-    /// The newest value.
+    /// The newest value at all lead times.
     Constant(f64),
     /// A chain, and the probability of 1 at the newest reading.
     Chain(Rates, f64),
@@ -34,7 +34,7 @@ impl Ahead {
         Ahead::Chain(rates, now)
     }
 
-    /// Of a state with known dwells, up to a lag.
+    /// The forecasts for a state with known dwells, up to a lead time.
     pub(super) fn of_dwells(survivals: &[Survival; 2], known: &[Hypothesis], longest_secs: f64) -> Ahead {
         let mean = survivals.each_ref().map(Survival::mean_secs);
         let short = mean[0].min(mean[1]) / (2.0 * STEPS_PER_DWELL);
@@ -49,7 +49,7 @@ impl Ahead {
         Ahead::Curves([fine, coarse])
     }
 
-    /// At a lag in seconds, at least 0.
+    /// The probability of 1, or the value, at a lead time in seconds, at least 0.
     pub(super) fn at(&self, lag_secs: f64) -> f64 {
         match self {
             Ahead::Constant(value) => *value,
@@ -68,12 +68,12 @@ pub(super) struct Curve {
 
 impl Curve {
     fn new(survivals: &[Survival; 2], known: &[Hypothesis], step_secs: f64, steps: usize) -> Curve {
-        // Of a dwell that begins in the middle of a step, at the end of this and of later ones.
+        // The survival of a dwell that begins in the middle of a step, at the end of this step and of later ones.
         let lasting = survivals.each_ref().map(|survival| -> Vec<f64> {
             let later = (1..=steps).map(|step| survival.at((step as f64 + 0.5) * step_secs));
             std::iter::once(1.0).chain(later).collect()
         });
-        // How much of what is known now has not changed yet, by value and step.
+        // The probability that the state has not changed since now, by value and step.
         let mut unchanged = [vec![0.0; steps + 1], vec![0.0; steps + 1]];
         for hypothesis in known {
             let value = usize::from(hypothesis.is_one);
@@ -104,7 +104,7 @@ impl Curve {
         Curve { step_secs, ones }
     }
 
-    /// `None` beyond its end.
+    /// The probability at a lead time; `None` beyond the end of the curve.
     fn at(&self, lag_secs: f64) -> Option<f64> {
         let place = lag_secs / self.step_secs;
         let step = place as usize;

@@ -1,8 +1,9 @@
-//! How long a state keeps a value: a density of completed dwells, and the probability that a dwell lasts longer.
+//! The time for which a state keeps a value: a density of completed dwells, and the probability that a dwell lasts
+//! longer.
 //!
-//! A kernel in the logarithm of time over completed dwells, with the width that predicts each from the others best,
-//! and an exponential of their mean with the weight of one dwell. Invariant: a survival falls from 1 towards 0 with
-//! age, and never reaches 0.
+//! The density is a kernel estimate in the logarithm of time over completed dwells, with the kernel width that predicts
+//! each dwell best from the others, plus an exponential with the mean of the dwells and the weight of one dwell.
+//! Invariant: a survival falls from 1 towards 0 with age, and never reaches 0.
 
 use std::sync::Arc;
 
@@ -10,47 +11,49 @@ use super::{Rates, SensorNoise, noise::Expected};
 use crate::special::square;
 use crate::{belief::Look, special::normal_tail};
 
-/// Completed dwells that are kept at each value; if there are more, every second one of them is forgotten.
+/// Maximum number of completed dwells that are kept at each value; if there are more, every second one is forgotten.
 pub(super) const DWELLS_MAX: usize = 48;
 /// With fewer dwells at a value, the state counts as a chain with constant rates.
 pub(super) const DWELLS_MIN: u32 = 8;
-/// Widths of the kernel in ln(time).
+/// The kernel widths to choose from, in ln(time).
 const WIDTHS: [f64; 4] = [0.05, 0.12, 0.3, 0.8];
-/// Ages at which a survival is stored.
+/// Number of ages at which a survival is stored.
 const NODES: usize = 128;
-/// How far the stored ages reach beyond the dwells, in widths of the kernel.
+/// The stored ages reach this many kernel widths beyond the dwells.
 const MARGIN: f64 = 3.0;
-/// Dwells are measured only where readings are this much closer than the chain's 1/(α+β).
+/// Dwells are used only where the mean gap between readings is at most this share of the chain's 1/(α+β).
 const GAP_SHARE_MAX: f64 = 0.5;
-/// After a gap of this many mean gaps, and of this many seconds, the value may have changed and back again.
+/// After a gap longer than this many mean gaps and than this many seconds, the value may have changed and changed back.
 const BREAK_GAPS: f64 = 8.0;
 const BREAK_SECS: f64 = 600.0;
-/// A survival is built anew when its dwells have become more by one in this many, or by as many as it can hold.
+/// A survival is computed again when the number of its dwells has grown by one in this many, or by [`DWELLS_MAX`].
 const FRESH_SHARE: u32 = 8;
 
 /// A dwell that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct UnendedDwell {
     pub(super) is_one: bool,
-    /// When it began, UTC nanoseconds, and how well that is known, in seconds; `None`: before the first reading.
+    /// The time at which it began, UTC nanoseconds, and the uncertainty of this time, in seconds; `None`: before the
+    /// first reading.
     pub(super) since: Option<(i64, f64)>,
-    /// The newest reading of it, UTC nanoseconds.
+    /// The time of its newest reading, UTC nanoseconds.
     pub(super) last_nanos: i64,
 }
 
 /// Completed dwells at one value.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct OfValue {
-    /// The lengths in seconds that the survival is of, in order of time.
+    /// The lengths in seconds from which the survival is computed, in order of time.
     pub(super) secs: Vec<f32>,
-    /// Of how many dwells they are.
+    /// The number of dwells of which these lengths are a selection.
     pub(super) count: u32,
-    /// Those since then.
+    /// The lengths of the dwells that have ended since then.
     pub(super) fresh: Vec<f32>,
 }
 
 impl OfValue {
-    /// Of the first 48 each is kept, then every second, fourth, and so on, evenly over time.
+    /// Selects from the fresh dwells: of the first 48 each is kept, then every second, fourth, and so on, evenly over
+    /// time.
     fn take_fresh(&mut self) {
         for secs in std::mem::take(&mut self.fresh) {
             let mut stride = self.stride();
@@ -85,7 +88,7 @@ impl OfValue {
     }
 }
 
-/// The dwells of a state, 0 and 1.
+/// The dwells of a state at 0 and at 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Dwells {
     pub(super) of_value: [OfValue; 2],
@@ -100,7 +103,7 @@ impl Dwells {
         dwells
     }
 
-    /// A copy without what only learning needs.
+    /// A copy without the data that only learning needs.
     pub(super) fn published(&self) -> Dwells {
         let of_value = |lengths: &OfValue| OfValue { fresh: Vec::new(), ..lengths.clone() };
         Dwells { of_value: self.of_value.each_ref().map(of_value), open: None, survivals: self.survivals.clone() }
@@ -111,7 +114,7 @@ impl Dwells {
         self.survivals.as_deref()
     }
 
-    /// Whether dwells can be told at all, with readings at this mean gap.
+    /// Whether dwells are known, with readings at this mean gap.
     pub(super) fn are_known(&self, rates: Rates, mean_gap_secs: f64) -> bool {
         self.survivals.is_some() && mean_gap_secs * rates.sum() <= GAP_SHARE_MAX
     }
@@ -169,7 +172,7 @@ pub(super) struct Survival {
 }
 
 impl Survival {
-    /// That of completed dwells, at least one.
+    /// The survival of completed dwells, at least one.
     pub(super) fn of(dwells: &[f32]) -> Survival {
         let logs: Vec<f64> = dwells.iter().map(|&secs| libm::log(f64::from(secs).max(1e-3))).collect();
         let mean_secs = dwells.iter().map(|&secs| f64::from(secs)).sum::<f64>().max(1e-3) / dwells.len().max(1) as f64;
@@ -212,7 +215,8 @@ impl Survival {
     }
 }
 
-/// The logarithm of the density of each dwell by the others, summed up to a constant; of ln(time).
+/// The sum of the log densities of the dwells in ln(time), each estimated from the other dwells; without a constant
+/// term.
 fn left_out(logs: &[f64], width: f64, mean_secs: f64) -> f64 {
     let density = |at: usize, log: f64| {
         let others = logs.iter().enumerate().filter(|(other, _)| *other != at);
@@ -223,7 +227,8 @@ fn left_out(logs: &[f64], width: f64, mean_secs: f64) -> f64 {
     logs.iter().enumerate().map(|(at, &log)| libm::log(density(at, log).max(1e-300))).sum()
 }
 
-/// The probability of readings at the two values, by the logarithm; never 0, since a span may hide a change.
+/// The logarithm of the probability of readings, for each of the two values. The probability of a reading counts as at
+/// least 0.001, since a span may hide a change.
 pub(super) fn evidence(noise: SensorNoise, ones: u16, zeros: u16) -> [f64; 2] {
     const RARE: f64 = 1e-3;
     let log = |probability: f64, count: u16| f64::from(count) * libm::log(probability.max(RARE));

@@ -1,25 +1,25 @@
-//! Filters over the recent readings: the probability of 1 now, and since when.
+//! Filters over the recent readings: the probability that the state is 1 now, and since when it has its value.
 //!
 //! Invariant: probabilities add up to 1; the work is bounded by the number of spans.
 
 use super::{Rates, Recent, SensorNoise, dwell::Survival, dwell::evidence};
 
-/// Hypotheses that are followed.
+/// Maximum number of hypotheses.
 const HYPOTHESES_MAX: usize = 16;
-/// A gap is followed in at most this many steps.
+/// A gap is divided into at most this many steps.
 const STEPS_MAX: usize = 12;
-/// Steps in the shorter of the two mean dwells.
+/// Number of steps in the shorter of the two mean dwells.
 pub(super) const STEPS_PER_DWELL: f64 = 4.0;
-/// After a gap of this many mean dwells at both values, the time before says nothing.
+/// After a gap of this many mean dwells at both values, the readings before it have no influence.
 const FORGOTTEN: f64 = 8.0;
-/// Ages of a dwell of which nothing else is known, as quantiles of the ages that one meets.
+/// Ages of a dwell without readings, as quantiles of its age at a random time.
 const AGES: [f64; 4] = [0.125, 0.375, 0.625, 0.875];
 
-/// The state may have a value since a time.
+/// A hypothesis: the state has a value since a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hypothesis {
     pub(super) is_one: bool,
-    /// Seconds since its last change, now.
+    /// Seconds from the last change of the state to now.
     pub(super) age_secs: f64,
     pub(super) weight: f64,
 }
@@ -63,7 +63,7 @@ pub(super) fn filter_dwells(survivals: &[Survival; 2], noise: SensorNoise, recen
     known
 }
 
-/// A time passes without readings, in which each hypothesis may change once.
+/// Moves the hypotheses over a time without readings, in which the state may change once under each hypothesis.
 fn pass(known: &mut Vec<Hypothesis>, survivals: &[Survival; 2], secs: f64) {
     let mut entered = [0.0; 2];
     for hypothesis in known.iter_mut() {
@@ -83,7 +83,7 @@ fn pass(known: &mut Vec<Hypothesis>, survivals: &[Survival; 2], secs: f64) {
     }
 }
 
-/// Joins the hypothesis with the lowest weight to the one that is most like it, or drops it.
+/// Merges the hypothesis with the lowest weight into the one with the same value and the nearest age, or drops it.
 fn join_lightest(known: &mut Vec<Hypothesis>) {
     let lightest = known.iter().enumerate().min_by(|one, other| one.1.weight.total_cmp(&other.1.weight));
     let Some(gone) = lightest.map(|(index, _)| index).map(|index| known.swap_remove(index)) else { return };
@@ -98,7 +98,7 @@ fn join_lightest(known: &mut Vec<Hypothesis>) {
     }
 }
 
-/// Readings within a time in which no hypothesis changes.
+/// Weights the hypotheses with readings within a time in which the state does not change.
 fn weigh(known: &mut [Hypothesis], survivals: &[Survival; 2], evidence: [f64; 2], secs: f64) {
     let likelier = evidence[0].max(evidence[1]);
     for hypothesis in known.iter_mut() {
@@ -116,7 +116,7 @@ fn weigh(known: &mut [Hypothesis], survivals: &[Survival; 2], evidence: [f64; 2]
     known.iter_mut().for_each(|hypothesis| hypothesis.weight = scaled(hypothesis.weight));
 }
 
-/// What is known without readings.
+/// The hypotheses without readings.
 fn equilibrium(survivals: &[Survival; 2]) -> Vec<Hypothesis> {
     let mean = survivals.each_ref().map(Survival::mean_secs);
     let mut known = Vec::with_capacity(HYPOTHESES_MAX + 2);
@@ -128,7 +128,8 @@ fn equilibrium(survivals: &[Survival; 2]) -> Vec<Hypothesis> {
     known
 }
 
-/// The quantiles [`AGES`] of the ages at which one meets a dwell: their density is the survival.
+/// The quantiles [`AGES`] of the age of a dwell at a random time; the density of this age is proportional to the
+/// survival.
 fn ages(survival: &Survival) -> [f64; AGES.len()] {
     const POINTS: usize = 64;
     let step = 4.0 * survival.mean_secs() / POINTS as f64;

@@ -1,9 +1,10 @@
-//! Learning a day: its successions, the sensor's errors, the dwells, and before all that the weights by lag.
+//! Learning a day: first the weights by lead time, then the successive readings, the errors of the sensor and the
+//! dwells.
 //!
-//! The errors of the sensor are found by expectation and maximisation, a few passes over the readings of a day with the
-//! expected counts of earlier days, so that nothing but counts is kept. They count once they have made readings more
-//! likely that were not yet learned; stated errors count from the first reading on. Invariant: a day is scored with
-//! what was known before it.
+//! The errors of the sensor are estimated by expectation maximisation, with a few passes over the readings of a day and
+//! the expected counts of earlier days, so that only counts are kept. They are used once they have made readings more
+//! likely that were not yet learned; stated errors are used from the first reading on. Invariant: a day is scored with
+//! the data that was learned before it.
 
 use super::{
     Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
@@ -11,25 +12,26 @@ use super::{
 };
 use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
 
-/// Sensor noise counts when it has gained this many nats on readings that were not yet learned.
+/// Sensor noise is used when it has gained this many nats on readings that were not yet learned.
 pub(super) const GAIN_MIN: f64 = 5.0;
-/// The part of the gain, and of the expected counts, that is left after a day.
+/// The share of the gain, and of the expected counts, that remains after a day.
 const KEPT: f64 = 0.98;
 /// Passes over the readings of the first days, and of later ones.
 const FIRST_PASSES: usize = 15;
 const PASSES: usize = 2;
 const FIRST_DAYS: u32 = 2;
-/// The share of the first day's readings that its rest is judged by.
+/// The share of the readings of the first day that is learned to score the other readings of the day.
 const FIRST_SHARE: f64 = 2.0 / 3.0;
-/// At most about this many readings of a day are looked at.
+/// At most this many readings of a day are learned.
 const LOOKS_MAX: usize = 20_000;
-/// Readings from which the rest of a day is predicted, beside the last one of the days before.
+/// Number of readings of a day from which later readings of it are predicted, beside the last reading of the days
+/// before.
 const ORIGINS: usize = 15;
 
 /// A prediction for each of some readings.
 type Predict<'a> = dyn Fn(&[Sample]) -> Vec<f64> + 'a;
 
-/// A reading that was not yet learned, and what earlier ones said of it.
+/// A reading that was not yet learned, and its forecast from earlier readings.
 struct Target {
     lag: usize,
     said: f64,
@@ -37,8 +39,8 @@ struct Target {
 }
 
 impl Belief {
-    /// Learns the readings of a day, ascending. They are scored first by `predict`, which has not learned them and
-    /// predicts each reading; `None`: nothing was learned before. `unit`: the variance of the state, above 0.
+    /// Learns the readings of a day, ascending by time. First the readings are scored; `predict` predicts each of them,
+    /// and has not learned them; `None`: nothing was learned before. `unit`: the variance of the state, above 0.
     pub fn learn_day(&mut self, samples: &[Sample], predict: Option<&Predict<'_>>, unit: f64) {
         let newest_before = self.newest.map(|(nanos, _)| nanos);
         let from = samples.partition_point(|sample| newest_before.is_some_and(|before| sample.utc_nanos <= before));
@@ -60,7 +62,7 @@ impl Belief {
         self.days = self.days.saturating_add(1);
     }
 
-    /// What is known follows the readings, without learning from them.
+    /// Updates the recent and newest readings, without learning from them.
     fn take_in(&mut self, samples: &[Sample]) {
         let mut recent = RecentReplay::new(self.recent);
         for sample in samples {
@@ -72,8 +74,8 @@ impl Belief {
         self.recent = *recent.recent();
     }
 
-    /// Learns two thirds of the first day and judges the rest by them, so that a state is not without weights and
-    /// noise for a day.
+    /// Learns two thirds of the first day and scores the rest with them, so that a state has weights and noise after
+    /// its first day.
     fn learn_first_day(&mut self, samples: &[Sample], unit: f64) {
         let (first, rest) = samples.split_at((samples.len() as f64 * FIRST_SHARE) as usize);
         if first.is_empty() || rest.is_empty() {
@@ -89,7 +91,7 @@ impl Belief {
             let was_noisy = self.is_noisy();
             self.gain = judge.gained(&looks_after(newest.map(|(nanos, _)| nanos), rest));
             if self.is_noisy() != was_noisy {
-                // Its dwells depend on which readings were wrong.
+                // The dwells depend on which readings were wrong.
                 let learned = Belief { gain: self.gain, ..self.clone() };
                 let (recent, newest) = (judge.recent, judge.newest);
                 judge = learned;
@@ -101,7 +103,8 @@ impl Belief {
         self.weights = judge.weights;
     }
 
-    /// By how much sensor noise makes readings more likely that were not learned, in nats. Stated noise is not judged.
+    /// The log-likelihood that sensor noise gains on readings that were not learned, in nats. 0 for stated noise, which
+    /// is not scored.
     fn gained(&self, looks: &[Look]) -> f64 {
         if self.hidden.is_empty() || self.sensor.is_some() {
             return 0.0;
@@ -110,20 +113,20 @@ impl Belief {
         likelihood(self.hidden_rates, self.noise) - likelihood(self.seen_rates, SensorNoise::default())
     }
 
-    /// Judges the noise of the sensor and the weights by lag by readings that are not yet learned.
+    /// Scores the noise of the sensor and the weights by lead time on readings that are not yet learned.
     fn score(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
         if self.has_two_values {
             let was_noisy = self.is_noisy();
             self.gain = self.gain * KEPT + self.gained(&looks_after(self.newest.map(|(nanos, _)| nanos), newer));
             if self.is_noisy() != was_noisy {
-                // They depend on which readings were wrong.
+                // The dwells depend on which readings were wrong.
                 self.dwells = Dwells::default();
             }
         }
         self.score_lags(newer, predict, unit);
     }
 
-    /// Judges the weights by lag.
+    /// Scores the weights by lead time.
     fn score_lags(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
         let targets = self.targets(newer);
         let samples: Vec<Sample> = targets.iter().map(|target| target.sample).collect();
@@ -133,7 +136,8 @@ impl Belief {
         }
     }
 
-    /// The readings that the weights are judged by: those ahead of the newest known reading, and of some of the day.
+    /// The readings on which the weights are scored: those after the newest learned reading, and after some readings of
+    /// the day, by a lead time.
     fn targets(&self, newer: &[Sample]) -> Vec<Target> {
         let mut targets = Vec::new();
         let (mut recent, mut newest) = (RecentReplay::new(self.recent), self.newest);
@@ -156,11 +160,11 @@ impl Belief {
         targets
     }
 
-    /// Adds for each lag the first of the later readings that is that far ahead.
+    /// Adds for each lead time the first of the later readings that has this lead time.
     fn targets_from(&self, recent: &Recent, newest: Newest, later: &[Sample], targets: &mut Vec<Target>) {
         let target = |lag: usize| {
             let nanos = newest.0.saturating_add((LagWeights::lag_secs(lag) * 1e9) as i64);
-            // Within the step of the lags: a reading just before counts too.
+            // A reading just before also counts, if this lead time is its nearest.
             let at = later.partition_point(|sample| sample.utc_nanos < nanos);
             let sample = later.get(at).or(later.last())?;
             let secs = lag_secs(newest.0, sample.utc_nanos).filter(|secs| LagWeights::nearest(*secs) == Some(lag))?;
@@ -176,7 +180,7 @@ impl Belief {
         targets.extend(found.into_iter().map(target));
     }
 
-    /// Learns successions, noise and dwells.
+    /// Learns successive readings, noise and dwells.
     fn learn_looks(&mut self, looks: &[Look]) {
         let looks = &looks[looks.len().saturating_sub(LOOKS_MAX)..];
         let before = self.newest.map(|(nanos, value)| (nanos, value >= 0.5));
@@ -199,7 +203,8 @@ impl Belief {
         self.dwells.learn(looks, &expected, gap);
     }
 
-    /// Learns the hidden chain and the sensor's errors. Returns what the readings say by the noise that counts.
+    /// Learns the hidden chain and the errors of the sensor. Returns the expected hidden values with the noise that is
+    /// in use.
     fn learn_noise(&mut self, looks: &[Look]) -> noise::Expected {
         let passes = if self.days < FIRST_DAYS { FIRST_PASSES } else { PASSES };
         if self.hidden.is_empty() {
@@ -221,7 +226,7 @@ impl Belief {
     }
 }
 
-/// The most likely rates, near those before.
+/// The most likely rates, searched for near the rates before.
 fn most_likely_near(transitions: &Transitions, before: Rates) -> Rates {
     Rates::of(transitions.most_likely_near((before.sum(), before.share())))
 }

@@ -1,4 +1,5 @@
-//! Forward and backward over readings of a hidden two-state chain: its expected changes, and the errors of the sensor.
+//! The forward-backward algorithm over readings of a hidden two-state chain: its expected changes, and the errors of
+//! the sensor.
 //!
 //! L. Rabiner, "A Tutorial on Hidden Markov Models", 1989, section III, with a transition that depends on the time
 //! between two readings. Invariant: expected counts of a pair of readings add up to 1.
@@ -6,18 +7,18 @@
 use super::{Look, Rates};
 use crate::models::markov_chain::likelihood::Transitions;
 
-/// How often a sensor reads a state of two values wrongly.
+/// The error probabilities of a sensor of a state of two values.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct SensorNoise {
-    /// m, the probability to read 0 when the state is 1; learned ones are at most 0.45.
+    /// m, the probability to read 0 when the state is 1; a learned one is at most 0.45.
     pub miss: f64,
-    /// f, the probability to read 1 when the state is 0; likewise.
+    /// f, the probability to read 1 when the state is 0; a learned one is at most 0.45.
     pub false_alarm: f64,
 }
 
-/// The highest probability of an error: with more, the readings could not be told from their opposite.
+/// The highest probability of an error: with more, readings could not be distinguished from their opposite.
 pub(super) const NOISE_MAX: f64 = 0.45;
-/// Errors where the readings of a first day begin the search.
+/// The errors with which the search on the readings of a first day begins.
 const BEGIN: f64 = 0.05;
 /// The prior: this many errors …
 const PRIOR_ERRORS: f64 = 0.5;
@@ -25,7 +26,7 @@ const PRIOR_ERRORS: f64 = 0.5;
 const PRIOR_READINGS: f64 = 10.0;
 
 impl SensorNoise {
-    /// Where a search begins.
+    /// The errors with which a search begins.
     pub(super) fn begin() -> SensorNoise {
         SensorNoise { miss: BEGIN, false_alarm: BEGIN }
     }
@@ -46,11 +47,11 @@ impl SensorNoise {
 pub(super) struct ErrorSums {
     /// Readings while the state is 1.
     pub(super) ones: f64,
-    /// Of these, readings of 0.
+    /// Readings of 0 while the state is 1.
     pub(super) misses: f64,
     /// Readings while the state is 0.
     pub(super) zeros: f64,
-    /// Of these, readings of 1.
+    /// Readings of 1 while the state is 0.
     pub(super) false_alarms: f64,
 }
 
@@ -68,14 +69,14 @@ impl ErrorSums {
         }
     }
 
-    /// The errors that they say.
+    /// The errors that these sums give.
     pub(super) fn noise(&self) -> SensorNoise {
         let share = |errors: f64, readings: f64| ((errors + PRIOR_ERRORS) / (readings + PRIOR_READINGS)).min(NOISE_MAX);
         SensorNoise { miss: share(self.misses, self.ones), false_alarm: share(self.false_alarms, self.zeros) }
     }
 }
 
-/// What a pass over readings expects.
+/// The expected counts of a pass over readings.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Expected {
     pub(super) transitions: Transitions,
@@ -84,7 +85,7 @@ pub(super) struct Expected {
     pub(super) ones: Vec<f64>,
 }
 
-/// The logarithm of the probability of readings, in nats; those before `from` are given.
+/// The logarithm of the probability of the readings from index `from` on, given those before, in nats.
 pub(super) fn log_likelihood(looks: &[Look], from: usize, rates: Rates, noise: SensorNoise) -> f64 {
     let (mut one, mut last, mut sum) = (rates.share(), None, 0.0);
     for (at, &(nanos, is_one)) in looks.iter().enumerate() {
@@ -104,11 +105,12 @@ pub(super) fn log_likelihood(looks: &[Look], from: usize, rates: Rates, noise: S
     sum
 }
 
-/// What the readings say about the hidden values, their changes and the sensor's errors.
+/// The expected hidden values, changes and errors of the sensor, given readings.
 pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expected {
     let share = rates.share();
     let mut ones = Vec::with_capacity(looks.len());
-    // Per reading the factor that makes its probabilities add up to 1, and e^(-(α+β)Δ) of the gap before it.
+    // For each reading the sum by which its probabilities are divided to add up to 1, and e^(-(α+β)Δ) of the gap before
+    // it.
     let mut scales = Vec::with_capacity(looks.len());
     let (mut one, mut last) = (share, None::<i64>);
     // Most readings come at equal gaps.

@@ -1,9 +1,9 @@
 //! The recent readings of a state of two values, in constant memory: the newest ones one by one, earlier ones in spans
 //! between which the state seems to have changed.
 //!
-//! This is what an observation changes at once. It holds no learned parameter, so that an update changes nothing here,
-//! and the same readings in the same order always give the same spans. Invariant: spans are ascending and do not
-//! overlap, each has a reading, and the newest is a single reading.
+//! An observation changes this data at once. It has no learned parameter, so that an update changes nothing here, and
+//! the same readings in the same order always give the same spans. Invariant: spans are ascending and do not overlap,
+//! each has a reading, and the newest is a single reading.
 
 use std::sync::LazyLock;
 
@@ -11,20 +11,20 @@ use crate::InvalidParts;
 
 /// Maximum number of spans of a state.
 pub const SPANS_MAX: usize = 16;
-/// The newest readings are not merged.
+/// This many of the newest readings are not merged.
 const SINGLE: usize = 5;
-/// The spans that may be merged.
+/// Number of spans that may be merged.
 const EARLIER: usize = SPANS_MAX - SINGLE;
 /// A boundary that makes the readings on its sides more likely by this many nats is a change, not a wrong reading.
 const CHANGE_NATS: f64 = 6.0;
 /// The weight of a boundary, against that of the next newer one.
 const KEPT_PER_BOUNDARY: f64 = 0.5;
-/// Counts whose x·ln x is in a table: those of a day of minutes.
+/// For counts below this, x·ln x is in a table: enough for a reading each minute of a day.
 const TABLED: usize = 2048;
-/// With this many changes, earlier readings say nothing new.
+/// With this many changes, earlier readings add no information.
 const CHANGES: usize = 4;
 
-/// Readings of a state between two times, which seem to be of one true value.
+/// Readings of a state between two times, between which its true value seems to be constant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct RecentSpan {
     /// UTC nanoseconds of the first reading.
@@ -64,7 +64,7 @@ impl RecentSpan {
         })
     }
 
-    /// How much less likely the readings of both spans are with one share of ones instead of two, in nats.
+    /// The log-likelihood that the readings of both spans lose with one share of ones instead of two, in nats.
     fn loss(&self, next: &RecentSpan) -> f64 {
         if self.ones | next.ones == 0 || self.zeros | next.zeros == 0 {
             return 0.0;
@@ -95,7 +95,8 @@ pub struct Recent {
 }
 
 impl Recent {
-    /// Takes in a reading. One that is not newer than the last one changes nothing, nor does another value than 0 or 1.
+    /// Adds a reading. A reading that is not newer than the last one changes nothing, nor does another value than 0 or
+    /// 1.
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         let is_newer = self.newest_nanos().is_none_or(|newest| utc_nanos > newest);
         if !is_newer || (value != 0.0 && value != 1.0) {
@@ -130,7 +131,8 @@ impl Recent {
     /// The recent readings from stored spans.
     ///
     /// # Errors
-    /// [`InvalidParts`] where they are too many, overlap or have no readings, or the newest is not a single reading.
+    /// [`InvalidParts`] where the spans are too many, overlap or have no readings, or the newest is not a single
+    /// reading.
     pub fn from_spans(spans: &[RecentSpan]) -> Result<Recent, InvalidParts> {
         let ascending = spans.is_sorted_by(|one, next| one.last_nanos() < next.first_nanos);
         let filled = spans.iter().all(|span| span.ones > 0 || span.zeros > 0);
@@ -144,12 +146,12 @@ impl Recent {
     }
 
     /// Frees a place: merges the two neighbours that differ least, or forgets the oldest span where enough changes are
-    /// known without it. `losses`: of each span that may be merged and the next. Gives the place of the span that has
-    /// changed, if it was merged with the next.
+    /// known without it. `losses`: the loss of merging each span that may be merged with the next one. Returns the
+    /// index of the span that was merged with the next one; `None` if the oldest was forgotten.
     fn make_room(&mut self, losses: &[f64; EARLIER - 1]) -> Option<usize> {
         let changes = losses.iter().filter(|&&loss| loss >= CHANGE_NATS).count();
         let (mut least, mut least_loss, mut weight) = (0, f64::INFINITY, 1.0);
-        // From the newest boundary on; of two that lose as much, the older one goes.
+        // From the newest boundary to the oldest; of two with equal losses, the older one is removed.
         for (index, loss) in losses.iter().enumerate().rev() {
             if loss * weight <= least_loss {
                 (least, least_loss) = (index, loss * weight);
@@ -171,7 +173,7 @@ impl Recent {
     }
 }
 
-/// Takes in many readings, as [`Recent::observe`] does one by one, and keeps the losses of its spans meanwhile.
+/// Adds many readings, as [`Recent::observe`] does one by one, and keeps the losses of the spans meanwhile.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RecentReplay {
     recent: Recent,

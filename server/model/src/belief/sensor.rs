@@ -1,10 +1,10 @@
-//! The sensor of a state of two values, as somebody states it who knows it.
+//! The sensor of a state of two values, as stated by a person who knows it.
 //!
 //! Invariant: 0 <= false alarm < hit <= 1, so that a reading of 1 always makes 1 more likely.
 
 use super::{Belief, SensorNoise};
 
-/// How reliable the readings of a state of two values are. As evidence, a probability below 0.001 counts as 0.001.
+/// The reliability of the readings of a state of two values. As evidence, a probability below 0.001 counts as 0.001.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateSensor {
     hit: f64,
@@ -14,7 +14,7 @@ pub struct StateSensor {
 // Neither number is ever NaN.
 impl Eq for StateSensor {}
 
-/// Probabilities that are those of no sensor.
+/// The error for probabilities that no sensor can have.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("a sensor with hit {hit} and false alarm {false_alarm}: it must hold 0 <= false alarm < hit <= 1")]
 pub struct InvalidStateSensor {
@@ -54,7 +54,7 @@ impl std::fmt::Display for StateSensor {
 }
 
 impl Belief {
-    /// Of a state without readings whose sensor is known.
+    /// A belief of a state without readings whose sensor is known.
     pub fn of_sensor(sensor: StateSensor) -> Belief {
         Belief::new(true).with_sensor(sensor)
     }

@@ -1,4 +1,4 @@
-//! What `belief.rs` promises, on simulated states.
+//! The promises of `belief.rs`, tested on simulated states.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
@@ -98,7 +98,7 @@ fn a_single_wrong_reading_is_not_believed() {
     assert!(blended(&belief, &ones, 0.4, 0) < 0.3);
 }
 
-/// The probability to read 1 at the last reading, by the plainest filter there is.
+/// The probability to read 1 at the last reading, by the simplest filter.
 fn naive_filter(rates: Rates, sensor: StateSensor, samples: &[Sample]) -> f64 {
     let (hit, false_alarm) = (sensor.hit(), sensor.false_alarm());
     let share = rates.rise_per_sec / (rates.rise_per_sec + rates.fall_per_sec);
@@ -118,10 +118,11 @@ fn a_known_sensor_is_believed_as_bayes_says_from_the_first_reading_on() {
     let readings = [(0, 1.0), (600, 0.0), (1000, 1.0), (1300, 1.0), (9000, 0.0), (9060, 0.0), (9100, 1.0)];
     let samples = readings.map(|(secs, value)| Sample { utc_nanos: secs * SEC, offset_secs: 0, value });
     let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
-    // Beyond these, a reading that cannot be still may be one: no evidence counts more than 1000 times.
+    // More certain sensors are left out: a reading that is impossible for them still counts as possible, because the
+    // probability of a reading is taken as at least 0.001.
     for (hit, false_alarm) in [(0.9, 0.05), (0.99, 0.3), (0.45, 0.01), (0.3, 0.2)] {
         let sensor = StateSensor::new(hit, false_alarm).unwrap();
-        // One that has learned nothing, and one that has learned readings without any error.
+        // A belief that has learned nothing, and a belief that has learned readings without any error.
         let days = simulate(8, 3000, dwell, |_| 28_800.0, 0.0);
         for belief in [Belief::of_sensor(sensor), learned_by(Belief::of_sensor(sensor), &days)] {
             assert_eq!(belief.noise(), SensorNoise { miss: 1.0 - hit, false_alarm });
@@ -149,7 +150,7 @@ fn the_rates_behind_a_known_sensor_are_found() {
 
 #[test]
 fn the_next_change_of_a_regular_state_is_foreseen() {
-    // 0 for ten minutes, 1 for five, give or take a little.
+    // The state is 0 for about ten minutes, then 1 for about five.
     let dwell = |is_one, random: &mut SmallRng| {
         let mean = if is_one { 300.0 } else { 600.0 };
         mean * (0.97 + 0.06 * random.random::<f64>())
@@ -166,7 +167,7 @@ fn the_next_change_of_a_regular_state_is_foreseen() {
 
 #[test]
 fn far_ahead_the_prediction_answers() {
-    // A chain that forgets within minutes says nothing about tomorrow: there the predictor knows more.
+    // A chain that forgets within minutes gives no information about tomorrow: there the prediction is better.
     let dwell = |_, random: &mut SmallRng| exponential(600.0, random);
     let samples = simulate(5, 14_400, dwell, |_| 60.0, 0.0);
     let belief = learned(&samples);
@@ -197,7 +198,7 @@ fn weights_follow_what_has_been_right() {
 
 #[test]
 fn numbers_are_the_newest_value_as_far_as_that_was_right() {
-    // Steps of an hour, read every ten minutes.
+    // The value changes every hour, and is read every ten minutes.
     let mut random = SmallRng::seed_from_u64(6);
     let mut value = 20.0;
     let samples: Vec<Sample> = (0..3000)
@@ -252,7 +253,7 @@ fn expected_changes_are_exact_without_errors() {
 #[test]
 fn old_readings_are_merged_and_changes_are_kept() {
     let mut recent = Recent::default();
-    // 1 for 200 s, then 0 for 100 s, with a wrong reading every ten seconds.
+    // The state is 1 for 200 s, then 0 for 100 s, with a wrong reading every ten seconds.
     for second in 0..300_i64 {
         let is_one = (second < 200) != (second % 10 == 9);
         recent.observe(second * SEC, f64::from(u8::from(is_one)));

@@ -1,21 +1,22 @@
-//! Which models the nightly update of a map may choose among.
+//! The models that the nightly update of a map may choose among.
 //!
 //! Invariant: the spectral model is always one of them. Models are enabled by name; the update tries each with the
 //! parameters of the catalogue.
 
 use super::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainingCost, name::listed};
 
-/// Which models the update of a state chooses among. The spectral model always is one of them; its order 0 is the mean.
+/// The models that the update of a state chooses among. The spectral model always is one of them; its order 0 is the
+/// mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct EnabledModels(u32);
 
-/// The bit of histograms; those of [`TRAINED_AT_NIGHT`] follow. They are stored.
+/// The bit of histograms; the bits of [`TRAINED_AT_NIGHT`] follow. The bits are stored.
 const HISTOGRAM_BIT: u32 = 1;
 
-/// The bit of the ensemble, clear of those of models to come.
+/// The bit of the ensemble; the bits below it are free for further models.
 const ENSEMBLE_BIT: u32 = 1 << 30;
 
-/// The bit of models of this name, 0 of the spectral model; `None` if updates do not choose such models.
+/// The bit of models of this name; 0 for the spectral model; `None` if updates do not choose such models.
 fn bit(name: &str) -> Option<u32> {
     let trained = || TRAINED_AT_NIGHT.iter().position(|kind| kind.name() == name);
     match name {
@@ -53,7 +54,7 @@ impl EnabledModels {
         EnabledModels(if histograms { self.0 | HISTOGRAM_BIT } else { self.0 & !HISTOGRAM_BIT })
     }
 
-    /// These models, and the one of a name (see [`EnabledModels::names`]) or, with `all`, every model; `None` for any
+    /// These models, and the one with this name (see [`EnabledModels::names`]); for `all`, every model; `None` for any
     /// other name.
     #[must_use]
     pub fn with_named(self, name: &str) -> Option<EnabledModels> {
@@ -85,7 +86,7 @@ impl EnabledModels {
         EnabledModels(self.0 & !ENSEMBLE_BIT)
     }
 
-    /// Whether an ensemble of all answers.
+    /// Whether an ensemble of all models predicts.
     pub fn has_ensemble(self) -> bool {
         self.0 & ENSEMBLE_BIT != 0
     }
@@ -100,7 +101,7 @@ impl EnabledModels {
         bit(kind.name()).is_some_and(|bit| self.0 & bit == bit)
     }
 
-    /// Those of [`TRAINED_AT_NIGHT`] that are enabled.
+    /// The models of [`TRAINED_AT_NIGHT`] that are enabled.
     pub fn trained(self) -> impl Iterator<Item = ModelKind> {
         TRAINED_AT_NIGHT.into_iter().filter(move |&kind| self.has(kind))
     }
@@ -112,12 +113,12 @@ impl EnabledModels {
         listed(kinds.into_iter().map(ModelKind::name), "and")
     }
 
-    /// As a number, to store: 1 for histograms, 2, 4, 8, … for [`TRAINED_AT_NIGHT`], 2^30 for the ensemble.
+    /// The number to store: the sum of 1 for histograms, 2, 4, 8, … for [`TRAINED_AT_NIGHT`], 2^30 for the ensemble.
     pub fn to_bits(self) -> u32 {
         self.0
     }
 
-    /// From a stored number; `None` if it has a bit of no model.
+    /// The models of a stored number; `None` if a bit belongs to no model.
     pub fn from_bits(bits: u32) -> Option<EnabledModels> {
         (bits & !EnabledModels::ALL.0 == 0).then_some(EnabledModels(bits))
     }

@@ -1,6 +1,6 @@
 //! The names of models, as the command line writes them: `histogram:week:168`, `pergam:3:7d`.
 //!
-//! Invariant: a name says the kind and all its parameters. `selector/name.rs` reads it back.
+//! Invariant: a name contains the kind and all its parameters. `selector/name.rs` reads it back.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use super::ModelKind;
 use crate::{models::HistogramCycle, time::format_duration};
 
 impl fmt::Display for ModelKind {
-    /// As the command line names it, with its parameters; a cycle or period that is the default is left out.
+    /// Writes the name as on the command line, with the parameters; a cycle or period that is the default is left out.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())?;
         if let Some(cycle) = self.cycle().filter(|&cycle| cycle != HistogramCycle::Day) {

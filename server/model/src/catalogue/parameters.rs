@@ -35,7 +35,7 @@ const DURATION: &str = "a duration such as 10m, 1d or 7d";
 const PERIOD_BASE_NANOS: i64 = 7 * 86_400 * crate::time::NANOS_PER_SEC;
 const PERIOD_COUNT: usize = 168;
 
-/// The value of a parameter; `right` says which values are possible.
+/// The value of a parameter; `right` describes the possible values.
 fn read<T>(
     name: &'static str,
     text: &str,
@@ -45,7 +45,7 @@ fn read<T>(
     value(text).ok_or_else(|| WrongParameter::Value { name, right: right.to_owned() })
 }
 
-/// A count. The model itself refuses one that is too high.
+/// A count. The model itself refuses a count that is too high.
 fn count(name: &'static str, text: &str, right: &str) -> Result<u32, WrongParameter> {
     let number: usize = read(name, text, right, |text| text.parse().ok())?;
     Ok(u32::try_from(number).unwrap_or(u32::MAX))
@@ -97,7 +97,7 @@ impl ParameterSet {
             let Some(&(_, text)) = parameters.iter().find(|(given, _)| *given == name) else { continue };
             match name {
                 "cycle" => {
-                    // It leaves the bins as they are.
+                    // The number of bins stays as it is.
                     let bins = kind.count();
                     kind = kind.with_cycle(cycle(name, text)?);
                     kind = bins.map_or(kind, |bins| kind.with_count(bins));
@@ -128,7 +128,7 @@ impl ParameterSet {
     /// Training on one reading makes the model check its parameters.
     fn checked(self) -> Result<ParameterSet, WrongParameter> {
         if self.kind == ModelKind::Uniform {
-            // It needs two readings.
+            // The uniform model needs two readings.
             return Ok(self);
         }
         let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];

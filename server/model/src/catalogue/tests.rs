@@ -1,4 +1,4 @@
-//! What holds for every kind in the catalogue.
+//! Tests of properties that every kind in the catalogue has.
 
 use super::*;
 use crate::{

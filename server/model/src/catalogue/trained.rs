@@ -1,4 +1,4 @@
-//! How each kind of model is trained on the readings of a state, predicts, and is stored.
+//! Training on the readings of a state, prediction and storage of each kind of model.
 //!
 //! Invariant: the same readings, parameters and options give the same model; a stored model reads back as the same
 //! model, to the last bit.
@@ -14,16 +14,16 @@ use crate::{
     },
 };
 
-/// What training takes besides the parameters in the name of a model. The daemon always uses the defaults.
+/// Options of training besides the parameters in the name of a model. The daemon always uses the defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingOptions {
     /// Number of spectral components, at most [`ORDER_MAX`], which is the default.
     pub order: usize,
     /// Seed of random starts. Default 0.
     pub seed: u64,
-    /// Of a histogram: [`HistogramSettings::smoothing_bins`]. Default 0.
+    /// For a histogram: [`HistogramSettings::smoothing_bins`]. Default 0.
     pub smoothing_bins: f64,
-    /// Of a histogram: [`HistogramSettings::prior_readings`]. Default [`HISTOGRAM_PRIOR_READINGS`].
+    /// For a histogram: [`HistogramSettings::prior_readings`]. Default [`HISTOGRAM_PRIOR_READINGS`].
     pub prior_readings: f64,
     /// Length of an interval in which readings are counted, in nanoseconds. Default [`COUNT_BIN_NANOS`].
     pub bin_nanos: i64,
@@ -52,7 +52,7 @@ pub enum TrainedModel {
     Spectral(Box<FixedOrder>),
     Uniform(Box<UniformSpectral>),
     Pergam(Pergam),
-    /// By either method.
+    /// Warped hypertime, by either method.
     Hypertime(Box<Hypertime>),
     Poisson(Box<CountRate>),
     Calibrated(Calibrated),
@@ -64,7 +64,7 @@ impl ModelKind {
     /// The caller checks that states of this kind support the model: [`ModelKind::supports`].
     ///
     /// # Errors
-    /// As [`ModelKind::train_with`].
+    /// [`CannotTrain`], as [`ModelKind::train_with`] returns it.
     pub fn train(
         self,
         readings: Readings<'_>,
@@ -78,7 +78,8 @@ impl ModelKind {
     /// no update that could choose.
     ///
     /// # Errors
-    /// [`CannotTrain`] if there are no readings, a parameter or a value is outside its range, or it is told to stop.
+    /// [`CannotTrain`] if there are no readings, a parameter or a value is outside its range, or the stop signal is
+    /// set.
     pub fn train_with(
         self,
         readings: Readings<'_>,
@@ -123,8 +124,8 @@ impl ModelKind {
         })
     }
 
-    /// How warped hypertime of this kind is trained on values with a place; `None` for other kinds, which have no
-    /// distribution over places.
+    /// The training options of warped hypertime of this kind for values with a place; `None` for other kinds, which
+    /// have no distribution over places.
     pub fn hypertime_options(self) -> Option<HypertimeOptions> {
         let (method, clusters) = match self {
             Self::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
@@ -159,14 +160,14 @@ impl TemporalModel for TrainedModel {
     }
 }
 
-/// What a prediction takes from the query and from the newest values, and not from the training.
+/// The inputs of a prediction that come from the query and from the newest values, not from training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QueryInputs {
     /// The newest value and its time, nanoseconds UTC: the Markov chain starts from it.
     pub newest: Option<(i64, f64)>,
     /// Number of components of a uniform model.
     pub order: usize,
-    /// Whether a uniform model answers with its stored outliers: 0 or 1 there, as observed.
+    /// Whether a uniform model predicts the observed value, 0 or 1, at the moments of its stored outliers.
     pub with_outliers: bool,
 }
 
@@ -191,8 +192,8 @@ impl TrainedModel {
 }
 
 impl TrainedModel {
-    /// This model with another newest reading, given by its time in nanoseconds UTC and its value, even one that is
-    /// older than the training data; `None` for models that do not answer from the newest reading.
+    /// This model with another newest reading, given by its time in nanoseconds UTC and its value; the reading may be
+    /// older than the training data. `None` for models that do not predict from the newest reading.
     pub fn with_newest(&self, (last_nanos, last_value): (i64, f64)) -> Option<TrainedModel> {
         let model = match self {
             Self::Latest(model) => {
@@ -210,7 +211,7 @@ impl TrainedModel {
     }
 }
 
-/// What a [`TrainedModel`] of the nightly update consists of, for storage.
+/// The parts of a [`TrainedModel`] of the nightly update, for storage.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(missing_docs, reason = "the kinds of ModelKind")]
 pub enum TrainedModelParts {
@@ -221,7 +222,7 @@ pub enum TrainedModelParts {
 }
 
 impl TrainedModel {
-    /// The model of the nightly update that this is a training of; `None` if updates do not train such models.
+    /// The kind of this model in the nightly update; `None` if updates do not train such models.
     pub fn kind_at_night(&self) -> Option<ModelKind> {
         match self {
             Self::Calibrated(_) => Some(ModelKind::Calibrated),

@@ -1,4 +1,4 @@
-//! The ensemble of a state, whatever its values are.
+//! The ensemble of a state of any kind of values.
 //!
 //! Invariant: a state of probabilities has an [`Ensemble`], any other a [`NumberEnsemble`].
 
@@ -8,14 +8,14 @@ use crate::{LocalDay, Sample, StateKind, models::Moment};
 /// The ensemble of a state.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyEnsemble {
-    /// Of probabilities.
+    /// An ensemble of probabilities.
     Probability(Box<Ensemble>),
-    /// Of continuous values or counts.
+    /// An ensemble of continuous values or counts.
     Number(Box<NumberEnsemble>),
 }
 
 impl AnyEnsemble {
-    /// An ensemble without looks.
+    /// An ensemble that has learned no bins.
     pub fn new(kind: StateKind) -> AnyEnsemble {
         match kind {
             StateKind::Probability => AnyEnsemble::Probability(Box::default()),
@@ -31,7 +31,7 @@ impl AnyEnsemble {
         }
     }
 
-    /// The mean of all looks.
+    /// The mean of all bins.
     pub fn mean(&self) -> f64 {
         match self {
             AnyEnsemble::Probability(ensemble) => ensemble.mean(),
@@ -39,7 +39,7 @@ impl AnyEnsemble {
         }
     }
 
-    /// As [`Ensemble::prepare`].
+    /// Does the same as [`Ensemble::prepare`].
     pub fn prepare(&mut self, day: LocalDay, others: OtherModels<'_>) {
         match self {
             AnyEnsemble::Probability(ensemble) => ensemble.prepare(day, others.chosen),
@@ -47,7 +47,7 @@ impl AnyEnsemble {
         }
     }
 
-    /// As [`Ensemble::learn_day`].
+    /// Does the same as [`Ensemble::learn_day`].
     pub fn learn_day(
         &mut self,
         day: LocalDay,
@@ -64,7 +64,7 @@ impl AnyEnsemble {
         }
     }
 
-    /// Predicted values at moments, which are best in order of time.
+    /// Predicted values at moments; faster if the moments are in order of time.
     pub fn predict(&self, moments: &[Moment], others: OtherModels<'_>) -> Vec<f64> {
         match self {
             AnyEnsemble::Probability(ensemble) => {

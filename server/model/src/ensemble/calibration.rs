@@ -1,25 +1,26 @@
-//! The last correction of an ensemble, and how much an hour of a day differs from what was predicted.
+//! The last correction of the predictions of an ensemble, and the scatter of an hour of a day around its prediction.
 //!
-//! The correction draws predictions towards the mean by how far the last days departed from them; its half-life is
-//! three days, so that a change of habit makes the next days unsure. The dependence is the correlation of the errors of
-//! neighbouring half-hours, from which follows how much the mean of an hour scatters. Invariant: the correction is in
-//! `[0,1]`, the dependence in `[0,1)`.
+//! The correction draws predictions towards the mean, the more the last days differed from their predictions; its
+//! half-life is three days, so that a change of habit lowers the certainty of the next days. The dependence is the
+//! correlation of the errors of neighbouring half-hours, from which the scatter of the mean of an hour follows.
+//! Invariant: the correction is in `[0,1]`, the dependence in `[0,1)`.
 
 use super::forecast::DayForecast;
 use super::looks::DayLooks;
 
 /// The half-life of the correction, in observed days.
 const HALF_LIFE_DAYS: f64 = 3.0;
-/// How much no correction counts: as much as a day or two of a state that is nearly certain at all hours, so that one
-/// odd day does not make every hour unsure.
+/// The prior weight of no correction: that of a day or two of a state that is nearly certain at all hours, so that one
+/// odd day does not lower the certainty of every hour.
 const PRIOR: f64 = 20.0;
 /// The half-life of the dependence, in observed days.
 const DEPENDENCE_DAYS: f64 = 28.0;
-/// The dependence before any look, as of a state that keeps its value for 40 minutes, and how much it counts.
+/// The dependence before the first bin, that of a state that keeps its value for 40 minutes, and the weight of this
+/// prior.
 const DEPENDENCE: f64 = 0.45;
 const DEPENDENCE_PRIOR: f64 = 0.5;
 
-/// Faded sums.
+/// The faded sums from which the correction and the dependence follow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Calibration {
     /// Σ u (y - μ) and Σ u², where u is the pool's departure from the mean μ.

@@ -1,6 +1,6 @@
-//! What an ensemble predicts for one local day, half-hour by half-hour, and far ahead.
+//! The predictions of an ensemble for one local day by half-hour, and at long lead times.
 //!
-//! Invariant: a forecast of a day uses no look of that day but those in the tables.
+//! Invariant: a forecast of a day uses no half-hour bin of that day except those in the tables.
 
 use super::looks::{SLOT_NANOS, SLOTS, slot_at};
 use super::outlook::{CLASSES, class_of};
@@ -14,45 +14,45 @@ use crate::{
     models::{Moment, TemporalModel},
 };
 
-/// The members whose log odds the stacks join, in the order of their features.
+/// The members whose log odds the stacks combine, in the order of the features.
 const STACKED: [Member; super::stack::MEMBERS] =
     [Member::Kind, Member::Weekday, Member::RecentKind, Member::Rotation, Member::Alike, Member::Nth, Member::Chosen];
-/// The days before whose residuals the stacks join, but for that of the last day of the kind, which has the place
-/// [`LAST_ALIKE`].
+/// The residuals that the stacks combine: index of the residual, and how many days back its day is. The residual of the
+/// last day of the kind has the index [`LAST_ALIKE`].
 const DAYS_AGO: [(usize, i32); 5] = [(0, 1), (1, 2), (2, 7), (3, 14), (5, 28)];
 const LAST_ALIKE: usize = 4;
-/// How far back a rotation looks, and after how many days one of its days counts half.
+/// A rotation uses values of up to this many days back, and a value counts half after [`ROTATION_HALF_LIFE`] days.
 const ROTATION_DAYS: i32 = 84;
 const ROTATION_HALF_LIFE: f64 = 60.0;
-/// How much the weekday table counts beside the same weekdays of the month.
+/// The weekday table counts as this many bins, beside those of the same weekdays of the month.
 const NTH_PRIOR: f64 = 0.5;
-/// A chosen model with less weight is left out between the half-hours.
+/// A chosen model with less weight is not evaluated at the moment itself; its value at the half-hour is used.
 const WEIGHT_MIN: f64 = 0.01;
-/// Up to so many days ahead the pool of the next days answers.
+/// Up to a lead time of this many days the pool of the next days predicts.
 const NEXT_DAYS: i64 = 6;
 const DAY_NANOS: i64 = SLOTS as i64 * SLOT_NANOS;
 
 /// The members' predictions for a day.
 #[derive(Clone, Debug)]
 pub(super) struct MemberDay {
-    /// By member, then by half-hour.
+    /// The predictions by member, then by half-hour.
     pub(super) values: [[f64; SLOTS]; MEMBERS],
     pub(super) features: Features,
     pub(super) all: DayLevels,
     pub(super) recent: DayLevels,
 }
 
-/// What an ensemble predicts for one local day.
+/// The predictions of an ensemble for one local day.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DayForecast {
-    /// The pool without the chosen model, weighted.
+    /// The weighted sum of the members of the pool without the chosen model.
     rest: [f64; SLOTS],
-    /// The chosen model, and its weight.
+    /// The predictions of the chosen model, and the weight of the model in the pool.
     chosen: [f64; SLOTS],
     chosen_weight: f64,
-    /// What is known apart from the members, by hour.
+    /// The prediction by hour that counts where there are few bins: of the smooth table, else of the weekday table.
     smooth: [f64; HOURS],
-    /// How many looks speak for each hour.
+    /// The equivalent number of bins of each hour.
     looks: [f64; HOURS],
     mean: f64,
     factor: f64,
@@ -70,7 +70,7 @@ impl DayForecast {
         self.mean
     }
 
-    /// The pool's answer at a half-hour.
+    /// The prediction of the pool at a half-hour, before the correction.
     pub(super) fn uncorrected(&self, slot: usize) -> f64 {
         self.rest[slot] + self.chosen_weight * self.chosen[slot]
     }
@@ -86,7 +86,7 @@ impl DayForecast {
         clip(self.mean + self.factor * (value - self.mean))
     }
 
-    /// The prediction at a half-hour where the chosen model says something else.
+    /// The prediction at a half-hour for another prediction of the chosen model.
     pub(super) fn with_chosen(&self, slot: usize, chosen: f64) -> f64 {
         self.corrected(slot, self.rest[slot] + self.chosen_weight * clip(chosen))
     }
@@ -107,7 +107,7 @@ impl DayForecast {
 }
 
 impl Ensemble {
-    /// The predictions of the members for a day, from what is known of other days.
+    /// The predictions of the members for a day, from the learned data of other days.
     pub(super) fn members(&self, day: LocalDay, chosen: &dyn TemporalModel) -> MemberDay {
         let (mean, weekday) = (self.mean(), day.weekday());
         let kind = kind_of_day(weekday);
@@ -160,7 +160,7 @@ impl Ensemble {
         MemberDay { values, features, all, recent }
     }
 
-    /// How many days back the same weekdays of earlier months are, such as the first Mondays.
+    /// The numbers of days back to the same weekdays of earlier months, such as the first Mondays.
     fn same_weekdays_of_month(&self, day: LocalDay) -> Vec<i32> {
         let number = |day: LocalDay| (day.date().2 - 1) / 7;
         let of_day = number(day);
@@ -168,7 +168,7 @@ impl Ensemble {
         weeks.filter(|&back| number(LocalDay(day.0.saturating_sub(back))) == of_day).collect()
     }
 
-    /// What the members say together.
+    /// The combined forecast of the members.
     pub(super) fn forecast_of(&self, day: LocalDay, members: &MemberDay) -> DayForecast {
         let weights = self.pool.weights(self.looks);
         let kind = kind_of_day(day.weekday());
@@ -182,7 +182,7 @@ impl Ensemble {
             rest,
             chosen: members.values[Member::Chosen as usize],
             chosen_weight: weights[Member::Chosen as usize],
-            // Every hour has enough looks where there is no smooth table.
+            // Every hour has enough bins where there is no smooth table.
             smooth: self.smooth.map_or(members.all.weekday, |smooth| smooth[kind]).map(clip),
             looks: self.known[kind],
             mean: clip(self.mean()),
@@ -191,7 +191,7 @@ impl Ensemble {
         }
     }
 
-    /// Whether the pool of the next days answers for a day; else it is far ahead, or long ago.
+    /// Whether the pool of the next days predicts a day; else the lead time is too long, or the day too long ago.
     fn near(&self, day: LocalDay) -> bool {
         self.last_day().is_none_or(|last| (i64::from(day.0) - i64::from(last.0)).abs() <= NEXT_DAYS)
     }
@@ -213,8 +213,8 @@ impl Ensemble {
         Predictive::new(probability, looks, self.calibration.dependence())
     }
 
-    /// Predictions at moments, which are best in order of time: a day is forecast once. `chosen`: the model that the
-    /// update has chosen.
+    /// Predictions at moments; faster if the moments are in order of time, because each day is then forecast once.
+    /// `chosen`: the model that the update has chosen.
     pub fn predict(&self, moments: &[Moment], chosen: &dyn TemporalModel) -> Vec<Predictive> {
         let mut of_day: Option<(LocalDay, DayForecast)> = None;
         let predict = |&at: &Moment| {

@@ -1,12 +1,13 @@
-//! Looks: what a state was seen as in each half-hour of a local day.
+//! Half-hour bins: the mean of the readings of a state in each half-hour of a local day. Identifiers call a bin a
+//! `look`.
 //!
-//! Readings of the same half-hour are one look, however many they are: the mean of their values. So a robot that reads
-//! a door once a second learns no more certainty than one that reads it once a minute. Invariant: the looks of a day
-//! depend on its readings and their times alone, not on their order beyond 1e-9.
+//! All readings of one half-hour are one bin, however many they are: the mean of their values. So a robot that reads a
+//! door once a second gains no more certainty than one that reads it once a minute. Invariant: the bins of a day depend
+//! on its readings and their times alone, and on their order by less than 1e-9.
 
 use crate::{Sample, time::NANOS_PER_SEC};
 
-/// Half-hours of a local day.
+/// Number of half-hours of a local day.
 pub(crate) const SLOTS: usize = 48;
 /// Length of a half-hour in nanoseconds.
 pub(super) const SLOT_NANOS: i64 = 1800 * NANOS_PER_SEC;
@@ -18,7 +19,7 @@ pub(crate) fn slot_at(civil_nanos: i64) -> usize {
     (civil_nanos.rem_euclid(DAY_NANOS) / SLOT_NANOS) as usize
 }
 
-/// The looks of one local day.
+/// The bins of one local day.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DayLooks {
     sums: [f64; SLOTS],
@@ -32,7 +33,7 @@ impl Default for DayLooks {
 }
 
 impl DayLooks {
-    /// The looks of the readings of one local day. Half-hours that occur twice when clocks are set back are one look.
+    /// The bins of the readings of one local day. Half-hours that occur twice when clocks are set back are one bin.
     pub(crate) fn of_samples(samples: &[Sample]) -> DayLooks {
         let mut looks = DayLooks::default();
         for sample in samples {
@@ -49,7 +50,7 @@ impl DayLooks {
         (readings > 0).then(|| self.sums[slot] / f64::from(readings))
     }
 
-    /// The half-hours that were looked at, with the mean of their readings.
+    /// The half-hours that have readings, with the mean of these.
     pub(super) fn seen(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         (0..SLOTS).filter_map(|slot| Some((slot, self.value(slot)?)))
     }

@@ -1,13 +1,13 @@
-//! An ensemble of members that predict the looks of one state of continuous values or counts.
+//! An ensemble of members that predict the half-hour bins of one state of continuous values or counts.
 //!
 //! The members are tables by hour of the day, of weekdays or the weekend and of the week, some of which forget within
-//! days; what the readings of the last days left over; the model that the nightly update chose; and two linear stacks
-//! of all of these ([`stack`]). They are weighted by how well each predicted the days before they were learned. Beyond
-//! the next day stacks of the tables alone answer ([`ahead`]), because there are no readings of the days between.
+//! days; the residuals of the last days; the model that the nightly update chose; and two linear stacks of all of these
+//! ([`stack`]). They are weighted by how well each predicted days before these were learned. At lead times of more than
+//! a day stacks of the tables alone predict ([`ahead`]), because there are no readings of the days between.
 //!
-//! Invariant: what it knows is a function of the looks and their days, as long as days come in order and are not split.
-//! The unit does not matter: values times a factor, plus a constant, give predictions times the factor, plus the
-//! constant. So values are kept relative to the first look, and nothing is compared but errors with errors.
+//! Invariant: the learned data is a function of the bins and their days, as long as days come in order and are not
+//! split. The unit does not matter: values times a factor, plus a constant, give predictions times the factor, plus the
+//! constant. So values are kept relative to the first reading, and errors are compared with errors only.
 
 mod ahead;
 mod members;
@@ -30,31 +30,31 @@ use crate::{LocalDay, Sample, models::Moment, models::TemporalModel};
 /// The shares of their sums that the stacks keep after each further observed day.
 const SLOW: f64 = 0.985;
 const FAST: f64 = 0.94;
-/// Days of which the looks are kept.
+/// Number of days of which the bins are kept.
 const RECALL_DAYS: usize = 14;
 
-/// The models beside the ensemble that it needs.
+/// The models that an ensemble needs beside its own members.
 #[derive(Clone, Copy)]
 pub struct OtherModels<'a> {
     /// The model that the update chose.
     pub chosen: &'a dyn TemporalModel,
-    /// A model of all history, which speaks as well of times far ahead.
+    /// A model of all history, which predicts at long lead times as well as at short ones.
     pub lasting: &'a dyn TemporalModel,
     /// The map names the year as a period.
     pub expects_year: bool,
 }
 
-/// What was seen on one day, half-hour by half-hour.
+/// The bins of one day.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SeenDay {
-    /// Bit by half-hour: looked at.
+    /// One bit for each half-hour: it has a reading.
     seen: u64,
     values: [f64; SLOTS],
 }
 
 const UNSEEN: SeenDay = SeenDay { seen: 0, values: [0.0; SLOTS] };
 
-/// Number, mean and sum of the squared deviations of all looks.
+/// Number and mean of all bins, and the sum of their squared deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct LookScatter {
     looks: f64,
@@ -78,12 +78,12 @@ impl LookScatter {
 /// An ensemble of one state of continuous values or counts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NumberEnsemble {
-    /// The first look; all other values are relative to it.
+    /// The first reading; all other values are relative to it.
     origin: f64,
     last: Option<LocalDay>,
     scatter: LookScatter,
     tables: Tables,
-    /// By the day's number modulo [`RECALL_DAYS`].
+    /// Indexed by the day's number modulo [`RECALL_DAYS`].
     recall: [SeenDay; RECALL_DAYS],
     stacks: [LinearStack<{ members::FEATURES }>; 2],
     pool: Pool<MEMBERS>,
@@ -93,21 +93,21 @@ pub struct NumberEnsemble {
     prepared: Option<Box<PreparedDay>>,
 }
 
-/// What is predicted for a day before it is learned.
+/// The predictions for a day before it is learned.
 #[derive(Clone, Debug, PartialEq)]
 struct PreparedDay {
     day: LocalDay,
-    /// Where the day before was learned.
+    /// The predictions of the members; `None` unless the day before was learned.
     members: Option<DayMembers>,
     forecast: [f64; SLOTS],
 }
 
-/// What is known of a day whatever the time ahead.
+/// The forecasts for a day that do not depend on the lead time.
 #[derive(Clone, Debug)]
 struct KnownAhead {
     day: LocalDay,
     shapes: Shapes,
-    /// What the model of all history says.
+    /// The predictions of the model of all history.
     lasting: [f64; SLOTS],
 }
 
@@ -134,13 +134,13 @@ impl NumberEnsemble {
         self.last
     }
 
-    /// The mean of all looks; 0 without any.
+    /// The mean of all bins; 0 without any.
     pub fn mean(&self) -> f64 {
         self.origin + self.scatter.mean
     }
 
-    /// Predicts a day that is about to be learned, once for all that judge it before. The first day, and one that is
-    /// not newer than all before, is not predicted.
+    /// Predicts a day that is about to be learned, once for all callers that score its readings. The first day, and a
+    /// day that is not newer than all learned days, is not predicted.
     pub fn prepare(&mut self, day: LocalDay, others: OtherModels<'_>) {
         let Some(last) = self.last.filter(|&last| day > last) else { return };
         if self.prepared.as_ref().is_some_and(|known| known.day == day) {
@@ -155,10 +155,10 @@ impl NumberEnsemble {
         self.prepared = Some(Box::new(PreparedDay { day, members, forecast }));
     }
 
-    /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
-    /// added without judging. `samples`: its readings in order of time; `others`: as they were before the day. Gives
-    /// the squared error of the predictions for `newer`, those of the samples that no earlier day has; `None` where the
-    /// day was not predicted.
+    /// Learns a local day: scores all members on its bins, then adds the bins. A day that is not newer than all learned
+    /// days is added without scoring. `samples`: the readings of the day in order of time; `others`: the models as they
+    /// were before the day. Returns the sum of the squared errors of the predictions for `newer`, the samples that no
+    /// earlier day has; `None` where the day was not predicted.
     pub fn learn_day(
         &mut self,
         day: LocalDay,
@@ -191,7 +191,7 @@ impl NumberEnsemble {
         }
         let known = self.known_ahead(day, others);
         for class in 0..ahead::CLASSES {
-            // What would have been said long before.
+            // The forecasts that the class would have made at its lead time before the day.
             if let Some((levels, days)) = self.ahead.kept(class, day) {
                 let said = self.said_ahead(class, &known, days, &levels);
                 self.ahead.judge(class, &looks, &said, variance);
@@ -201,7 +201,7 @@ impl NumberEnsemble {
         Some(error)
     }
 
-    /// Adds looks without judging.
+    /// Adds bins without scoring.
     fn add(&mut self, day: LocalDay, looks: &DayLooks) {
         let last = self.last;
         let age_days = last.map_or(0.0, |last| (f64::from(last.0) - f64::from(day.0)).max(0.0));
@@ -209,7 +209,7 @@ impl NumberEnsemble {
         looks.seen().for_each(|(_, value)| self.scatter.add(value));
         let newest = last.is_none_or(|last| day > last);
         if newest {
-            // Days between brought no looks.
+            // The days between have no bins.
             let passed = last.map_or(RECALL_DAYS as i64, |last| i64::from(day.0) - i64::from(last.0));
             for back in 0..passed.min(RECALL_DAYS as i64) {
                 self.recall[place(day, back as i32)] = UNSEEN;
@@ -228,12 +228,12 @@ impl NumberEnsemble {
         }
     }
 
-    /// How many days after the last learned one a day is; of days before it, how many before.
+    /// Number of days from the last learned day to a day; for an earlier day, number of days back to it.
     fn days_ahead(&self, day: LocalDay) -> i64 {
         self.last.map_or(0, |last| (i64::from(day.0) - i64::from(last.0)).abs())
     }
 
-    /// What was seen on a day; `None` if it is forgotten.
+    /// The bins of a day; `None` if they are forgotten.
     fn seen(&self, day: LocalDay) -> Option<&SeenDay> {
         let age = i64::from(self.last?.0) - i64::from(day.0);
         (0..RECALL_DAYS as i64).contains(&age).then(|| &self.recall[place(day, 0)])
@@ -256,8 +256,8 @@ impl NumberEnsemble {
         KnownAhead { day, shapes: self.tables.shapes(day.weekday()), lasting }
     }
 
-    /// What the members of a class of the time ahead say of a day that is so many days ahead. `levels`: the means of
-    /// the tables when it is said.
+    /// The forecasts of the members of a lead-time class at a lead time of `days`. `levels`: the means of the tables
+    /// when the forecasts are made.
     fn said_ahead(&self, class: usize, known: &KnownAhead, days: i64, levels: &Levels) -> AheadMembers {
         let repeated = ahead::knows_repeated(class).then(|| self.repeated(known.day, days));
         self.ahead.members(class, &known.shapes, levels, &known.lasting, repeated.as_ref())
@@ -270,7 +270,7 @@ impl NumberEnsemble {
         pooled(&said.values, self.ahead.pool_weights(class))
     }
 
-    /// Predictions at moments, which are best in order of time: a day is forecast once.
+    /// Predictions at moments; faster if the moments are in order of time, because each day is then forecast once.
     pub fn predict(&self, moments: &[Moment], others: OtherModels<'_>) -> Vec<f64> {
         let mut of_day: Option<(LocalDay, [f64; SLOTS])> = None;
         let predict = |&at: &Moment| {
@@ -294,7 +294,7 @@ impl NumberEnsemble {
     }
 }
 
-/// The place of the day so many days before a day.
+/// The index of the day that is `back` days before a day.
 fn place(day: LocalDay, back: i32) -> usize {
     day.0.saturating_sub(back).rem_euclid(RECALL_DAYS as i32) as usize
 }

@@ -1,11 +1,11 @@
-//! The view far ahead: which member answers for a week, a month, a season, a year from now.
+//! Forecasts at long lead times: the weights of the members for lead times of a week, a month, a season and a year.
 //!
-//! A model speaks as far ahead as it was judged. Every week, four weeks, quarter and year the ensemble keeps what its
-//! members then said of each hour of the week; looks that come as long after are compared with it. The members are
-//! weighted by these losses, class by class of the time ahead. A class without enough looks takes over what the shorter
-//! ones say of members without a window; a member with a window does not speak far beyond it. The share of days on
-//! which the plain mean was as good as the pool is left to the mean. Invariant: predictions lie strictly between 0 and
-//! 1.
+//! A model predicts at the lead times at which it was scored. Every week, four weeks, quarter and year the ensemble
+//! stores the forecasts of its members for each hour of the week; half-hour bins at that lead time are compared with
+//! the stored forecasts. The members are weighted by these losses, for each lead-time class. A class with too few bins
+//! takes over the losses of the shorter classes for members without a window; in such a class a member with a window
+//! has no weight far beyond it. The plain mean has a weight of its own: the share of the bins that it explains, against
+//! the pool. Invariant: predictions lie strictly between 0 and 1.
 
 use super::looks::DayLooks;
 use super::pool::normalised;
@@ -16,15 +16,16 @@ use crate::{
     hours_seen::{HOURS, Hours},
 };
 
-/// The shortest time ahead of each class, in days. Below the first, the pool of the next days answers.
+/// The shortest lead time of each class, in days. At shorter lead times than the first, the pool of the next days
+/// predicts.
 pub(super) const AHEAD_DAYS: [i64; 4] = [7, 28, 91, 364];
 /// Number of classes.
 pub(super) const CLASSES: usize = AHEAD_DAYS.len();
 
-/// What answers far ahead.
+/// A member of the ensemble at long lead times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FarMember {
-    /// The mean of all looks.
+    /// The mean of all bins.
     Mean,
     /// The table of all history.
     Week,
@@ -34,7 +35,7 @@ enum FarMember {
     Rhythm,
     /// The table of all history, moved by the rhythm of the year.
     WeekAndRhythm,
-    /// What the state was on those days of earlier years.
+    /// The mean of the state on the same days of earlier years.
     YearsAgo,
     /// The model that the update chose.
     Chosen,
@@ -53,28 +54,29 @@ const ALL: [FarMember; FAR_MEMBERS] = [
     FarMember::Chosen,
 ];
 
-/// A loss counts this power of its class's days less: looks of days close together judge the same.
+/// A loss is divided by the shortest lead time of its class in days to this power: bins of days close together score
+/// the same forecast.
 const DEPENDENCE: f64 = 0.8;
-/// With fewer looks a class is not judged.
+/// With fewer bins a class counts as not scored.
 const LOOKS_MIN: f64 = 20.0;
-/// What a shorter class says counts this much for the next.
+/// The losses of a class count with this factor for the next longer class.
 const CARRIED: f64 = 0.3;
-/// A member with a window speaks for this many windows ahead, unjudged.
+/// A member with a window that is not yet scored has a weight up to a lead time of this many windows.
 const WINDOWS: f64 = 4.0;
 /// The share of a class's sums that remains after each further observed day.
 const KEPT: f64 = 0.995;
-/// At most this many looks of a day count.
+/// At most this many bins of a day count.
 const LOOKS_OF_DAY: f64 = 3.0;
-/// The share of the mean before any look, and how many looks that counts as.
+/// The share of the mean before the first bin, and how many bins that counts as.
 const MEAN_SHARE: f64 = 0.1;
 const MEAN_LOOKS: f64 = 5.0;
 
 impl FarMember {
-    /// The days back from which it knows anything; `None`: all.
+    /// The number of days back that the data of the member reaches; `None`: all days.
     fn window_days(self) -> Option<f64> {
         match self {
             FarMember::Recent => Some(7.0),
-            // Models are trained on twelve weeks.
+            // Models are trained on twelve weeks, which is [`WINDOWS`] times this.
             FarMember::Chosen => Some(21.0),
             _ => None,
         }
@@ -91,7 +93,7 @@ impl FarMember {
     }
 }
 
-/// By hour of the week, in steps of a 255th.
+/// Values by hour of the week, in steps of 1/255.
 type Bytes = [u8; 7 * HOURS];
 
 fn bytes(week: &[Hours; 7]) -> Bytes {
@@ -104,7 +106,7 @@ fn bytes(week: &[Hours; 7]) -> Bytes {
     bytes
 }
 
-/// What the members said of the week at the end of a day.
+/// The stored forecasts of the members for a week, made at the end of a day.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Said {
     pub(super) day: LocalDay,
@@ -115,19 +117,19 @@ pub(super) struct Said {
     pub(super) rhythm: Rhythm,
 }
 
-/// What the members say of the week now.
+/// The current forecasts of the members for a week.
 #[derive(Clone, Debug)]
 pub(super) struct Profile {
     pub(super) mean: f64,
     pub(super) week: [Hours; 7],
     pub(super) recent: [Hours; 7],
-    /// Of the chosen model, in the week after the last day.
+    /// The predictions of the chosen model for the week after the last day.
     pub(super) chosen: [Hours; 7],
     pub(super) rhythm: Rhythm,
 }
 
 impl Profile {
-    /// What a value of all seasons is in the season of a day.
+    /// A value of all seasons, moved to the season of a day.
     pub(super) fn moved(&self, value: f64, day: LocalDay) -> f64 {
         moved(value, self.rhythm.at(day), clip(self.mean))
     }
@@ -144,31 +146,32 @@ impl Profile {
     }
 }
 
-/// The losses of one class.
+/// The losses and the stored forecasts of one lead-time class.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Class {
     pub(super) losses: [f32; FAR_MEMBERS],
-    /// Looks that were better explained by the pool, and by the mean.
+    /// Number of bins explained by the pool, and by the mean; each bin is shared in proportion to their weighted
+    /// likelihoods.
     pub(super) explained: [f32; 2],
     pub(super) looks: f32,
-    /// What was said at the two last turns of the class, the newer first.
+    /// The stored forecasts of the two last turns of the class, the newer first.
     pub(super) said: [Option<Box<Said>>; 2],
 }
 
-/// How a class of the time ahead is answered.
+/// The weights of a lead-time class.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FarWeights {
     weights: [f64; FAR_MEMBERS],
     mean_share: f64,
 }
 
-/// The classes.
+/// All lead-time classes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Outlook {
     pub(super) classes: [Class; CLASSES],
 }
 
-/// The class of a time ahead in days; `None` below the first.
+/// The class of a lead time in days; `None` if it is shorter than the first class.
 pub(super) fn class_of(ahead_days: i64) -> Option<usize> {
     AHEAD_DAYS.iter().rposition(|&shortest| ahead_days >= shortest)
 }
@@ -178,14 +181,14 @@ fn moved(value: f64, season: f64, mean: f64) -> f64 {
     probability(log_odds(value) + log_odds(season) - log_odds(mean))
 }
 
-/// What the far members say of an hour of a day.
+/// The predictions of the members at long lead times for an hour of a day.
 fn members(parts: (f64, f64, f64, f64), day: LocalDay, rhythm: &Rhythm, season: &Season) -> [f64; FAR_MEMBERS] {
     let (mean, week, recent, chosen) = parts;
     let (mean, week, at) = (clip(mean), clip(week), rhythm.at(day));
     [mean, week, clip(recent), at, moved(week, at, mean), season.years_ago(day, rhythm), clip(chosen)]
 }
 
-/// What was said of an hour of the week, 0 for Monday, midnight.
+/// The stored forecasts for an hour of the week, 0 for Monday, midnight.
 fn members_of_said(said: &Said, day: LocalDay, hour_of_week: usize, season: &Season) -> [f64; FAR_MEMBERS] {
     let value = |bytes: &Bytes| f64::from(bytes[hour_of_week]) / 255.0;
     let parts = (f64::from(said.mean), value(&said.week), value(&said.recent), value(&said.chosen));
@@ -198,7 +201,7 @@ fn pooled(values: &[f64; FAR_MEMBERS], weights: &[f64; FAR_MEMBERS]) -> f64 {
 }
 
 impl FarWeights {
-    /// The answer for an hour of a day.
+    /// The prediction for an hour of a day.
     pub(super) fn predict(&self, profile: &Profile, day: LocalDay, hour: usize, chosen: f64, season: &Season) -> f64 {
         let weekday = day.weekday();
         let parts = (profile.mean, profile.week[weekday][hour], profile.recent[weekday][hour], chosen);
@@ -218,7 +221,7 @@ impl Outlook {
         (mean + MEAN_SHARE * MEAN_LOOKS) / (pool + mean + MEAN_LOOKS)
     }
 
-    /// How a class is answered.
+    /// The weights of a class.
     pub(super) fn weights(&self, class: usize) -> FarWeights {
         let counted = |class: usize, member: usize| {
             f64::from(self.classes[class].losses[member]) * libm::pow(AHEAD_DAYS[class] as f64, -DEPENDENCE)
@@ -244,7 +247,7 @@ impl Outlook {
         FarWeights { weights: normalised(logs), mean_share: self.mean_share(class) }
     }
 
-    /// Judges what was said long before a day by the day's looks.
+    /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has.
     pub(super) fn judge(&mut self, day: LocalDay, looks: &DayLooks, season: &Season) {
         let seen: Vec<(usize, f64)> = looks.seen().collect();
         if seen.is_empty() {
@@ -284,13 +287,13 @@ impl Outlook {
         }
     }
 
-    /// The classes that keep what is said at the end of a day, if days since `last` include their turn.
+    /// The classes that store the forecasts at the end of a day: those whose turn lies in the days after `last`.
     pub(super) fn turns(last: Option<LocalDay>, day: LocalDay) -> [bool; CLASSES] {
         let turn = |day: LocalDay, days: i64| i64::from(day.0).div_euclid(days);
         AHEAD_DAYS.map(|days| last.is_none_or(|last| turn(last, days) != turn(day, days)))
     }
 
-    /// Keeps what is said at the end of a day.
+    /// Stores the forecasts at the end of a day.
     pub(super) fn keep(&mut self, turns: [bool; CLASSES], day: LocalDay, profile: &Profile) {
         for (class, _) in self.classes.iter_mut().zip(turns).filter(|(_, turn)| *turn) {
             class.said[1] = class.said[0].replace(Box::new(profile.said(day)));

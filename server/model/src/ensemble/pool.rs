@@ -1,7 +1,7 @@
-//! How much each member counts for the next days: by how well it predicted the days before they were learned.
+//! The weights of the members for the next days, by how well each predicted days before these were learned.
 //!
-//! A member has its prior weight times exp(-½ L), where L is its faded sum of log loss and squared error over looks.
-//! The pool is the weighted mean of the members' probabilities. Invariant: the weights sum to 1.
+//! A member has its prior weight times exp(-½ L), where L is its faded sum of log loss and squared error over half-hour
+//! bins. The pool is the weighted mean of the members' probabilities. Invariant: the weights sum to 1.
 
 use super::stack::clip;
 use crate::special::square;
@@ -9,19 +9,19 @@ use crate::special::square;
 /// The members of the pool, in the order in which they are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Member {
-    /// The mean of all looks.
+    /// The mean of all bins.
     Mean,
     /// The table of all history by hour of the day.
     Hour,
-    /// By hour of weekdays and of the weekend.
+    /// The table of all history by hour of weekdays and of the weekend.
     Kind,
-    /// By hour of the weekday.
+    /// The table of all history by hour of the weekday.
     Weekday,
-    /// By hour of weekdays and of the weekend, with a half-life of a week.
+    /// The table with a half-life of a week by hour of weekdays and of the weekend.
     RecentKind,
-    /// By hour of the weekday, with a half-life of a week.
+    /// The table with a half-life of a week by hour of the weekday.
     RecentWeekday,
-    /// The days before by the rotation that fits best.
+    /// The earlier days that the best rotation repeats.
     Rotation,
     /// The last days of the same kind.
     Alike,
@@ -31,9 +31,9 @@ pub(super) enum Member {
     SlowStack,
     /// The stack that forgets fast.
     FastStack,
-    /// The model that the update chose: an order of the spectral model, a histogram, or one trained on readings.
+    /// The model that the update chose: an order of the spectral model, a histogram, or a model trained on readings.
     Chosen,
-    /// The smooth table for few looks.
+    /// The smooth table for few bins.
     Smooth,
 }
 
@@ -59,13 +59,13 @@ pub(super) const ALL: [Member; MEMBERS] = [
 
 /// The share of the losses that remains after each further observed day.
 const KEPT: f64 = 0.97;
-/// How much a unit of loss counts.
+/// The factor on losses in the exponent of the weights.
 const RATE: f64 = 0.5;
-/// The smooth table loses its weight while the number of looks grows to this.
+/// The smooth table loses its weight while the number of bins grows to this.
 const SMOOTH_LOOKS: f64 = 300.0;
 
 impl Member {
-    /// The weight before any look, with so many looks.
+    /// The prior weight of a member of a state with `looks` bins.
     fn prior(self, looks: f64) -> f64 {
         match self {
             Member::Mean => 4.0,
@@ -95,7 +95,7 @@ impl Pool {
         Pool { losses: [0.0; MEMBERS] }
     }
 
-    /// The weights of the members, with so many looks so far.
+    /// The weights of the members after `looks` bins.
     pub(super) fn weights(&self, looks: f64) -> [f64; MEMBERS] {
         let mut weights = [0.0; MEMBERS];
         for ((weight, member), &loss) in weights.iter_mut().zip(ALL).zip(&self.losses) {
@@ -104,7 +104,7 @@ impl Pool {
         normalised(weights)
     }
 
-    /// How much the first of two members counts against the second.
+    /// The weight of the first of two members if there were only these two, without priors.
     pub(super) fn share(&self, one: Member, other: Member) -> f64 {
         let loss = |member: Member| RATE * f64::from(self.losses[member as usize]);
         1.0 / (1.0 + libm::exp((loss(one) - loss(other)).clamp(-30.0, 30.0)))
@@ -142,7 +142,7 @@ mod tests {
         pool.learn(&losses);
         assert!(pool.weights(1e6)[Member::Nth as usize] > 0.99);
         assert!(pool.share(Member::Nth, Member::Mean) > 0.99 && pool.share(Member::Mean, Member::Hour) == 0.5);
-        // Members are stored by their places.
+        // Members are stored by their indices.
         assert!(ALL.into_iter().enumerate().all(|(place, member)| member as usize == place));
     }
 }

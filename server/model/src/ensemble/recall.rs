@@ -1,21 +1,22 @@
-//! The looks of the last eighteen weeks, half-hour by half-hour: what a state was a day, a week, two weeks ago.
+//! The half-hour bins of the last eighteen weeks: the value of a state a day, a week, two weeks ago.
 //!
-//! A day takes 32 bytes: one bit a half-hour says whether it was looked at, four bits say what was seen, in steps of a
-//! fourteenth; 0 and 1 are exact. Invariant: a day that is older than the last one by [`DAYS`] or more is forgotten,
-//! and days between that brought no looks are unseen.
+//! A day takes 32 bytes: for each half-hour, one bit is set if it has a reading, and four bits hold the value in steps
+//! of 1/14; 0 and 1 are exact. Invariant: a day that is older than the last one by [`DAYS`] or more is forgotten, and
+//! days between without bins are empty.
 
 use super::looks::{DayLooks, SLOTS};
 use crate::LocalDay;
 
-/// Days that are kept: eighteen weeks, so that four occurrences of the same weekday of the month are known.
+/// Number of days that are kept: eighteen weeks, so that four occurrences of the same weekday of the month are among
+/// them.
 pub(super) const DAYS: usize = 126;
-/// Steps between 0 and 1.
+/// Number of steps between 0 and 1.
 const STEPS: f64 = 14.0;
 
-/// What was seen on one day.
+/// The bins of one day.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SeenDay {
-    /// Bit by half-hour: looked at.
+    /// One bit for each half-hour: it has a reading.
     pub(super) seen: u64,
     /// Two half-hours a byte, the earlier in the lower four bits.
     pub(super) values: [u8; SLOTS / 2],
@@ -35,23 +36,23 @@ impl SeenDay {
         day
     }
 
-    /// What was seen in a half-hour; `None`: it was not looked at.
+    /// The value of a half-hour; `None`: it has no reading.
     pub(super) fn value(&self, slot: usize) -> Option<f64> {
         let step = self.values[slot / 2] >> (4 * (slot % 2)) & 0xf;
         (self.seen >> slot & 1 == 1).then(|| f64::from(step.min(STEPS as u8)) / STEPS)
     }
 
-    /// What was seen in a half-hour, or in the one before, or in the one after.
+    /// The value of a half-hour, or else of the one before, or else of the one after.
     pub(super) fn value_near(&self, slot: usize) -> Option<f64> {
         let before = || self.value((slot + SLOTS - 1) % SLOTS);
         self.value(slot).or_else(before).or_else(|| self.value((slot + 1) % SLOTS))
     }
 }
 
-/// The looks of the last days.
+/// The bins of the last days.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Recall {
-    /// By the day's number modulo [`DAYS`], as far as days were learned.
+    /// Indexed by the day's number modulo [`DAYS`]; empty before the first learned day.
     days: Vec<SeenDay>,
     last: Option<LocalDay>,
 }
@@ -65,7 +66,7 @@ impl Recall {
         day.0.rem_euclid(DAYS as i32) as usize
     }
 
-    /// What was seen on a day; `None` if nothing was, or it is forgotten.
+    /// The bins of a day; `None` if it has none, or is forgotten.
     pub(super) fn day(&self, day: LocalDay) -> Option<&SeenDay> {
         let age = i64::from(self.last?.0) - i64::from(day.0);
         let known = (0..DAYS as i64).contains(&age);
@@ -77,7 +78,7 @@ impl Recall {
         self.last
     }
 
-    /// Keeps a day. A day that is not the newest adds to what is kept of it.
+    /// Stores a day. The bins of a day that is not the newest are added to its stored bins.
     pub(super) fn learn(&mut self, day: LocalDay, looks: &DayLooks) {
         if self.days.is_empty() {
             self.days = vec![SeenDay::NONE; DAYS];
@@ -92,7 +93,7 @@ impl Recall {
             last => {
                 let passed = last.map_or(DAYS as i64, |last| i64::from(day.0) - i64::from(last.0)).min(DAYS as i64);
                 for back in 0..passed {
-                    // Within a day's number of `day`, so that it is one.
+                    // `saturating_sub` keeps the day number in its range.
                     self.days[Self::place(LocalDay(day.0.saturating_sub(back as i32)))] = SeenDay::NONE;
                 }
                 self.days[Self::place(day)] = of_day;
@@ -110,12 +111,12 @@ impl Recall {
         kept.seen |= new;
     }
 
-    /// The kept days, in the order of their places.
+    /// The stored days, in the order of their indices.
     pub(super) fn days(&self) -> &[SeenDay] {
         &self.days
     }
 
-    /// From stored days: none, or [`DAYS`] of them.
+    /// A recall from stored days: none, or [`DAYS`] of them; `None` for any other number.
     pub(super) fn from_days(days: Vec<SeenDay>, last: Option<LocalDay>) -> Option<Recall> {
         let complete = if last.is_some() { days.len() == DAYS } else { days.is_empty() };
         complete.then_some(Recall { days, last })

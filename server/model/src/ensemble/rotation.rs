@@ -1,6 +1,6 @@
-//! Which number of days a state repeats after, apart from the week: rotations of shifts of 4 to 42 days.
+//! The number of days after which a state repeats, apart from the week: rotations of shifts of 4 to 42 days.
 //!
-//! What the table by weekday leaves of each look, its residual, is compared with the residual of the same half-hour so
+//! The residual of each half-hour bin from the weekday table is compared with the residual of the same half-hour so
 //! many days before. The sum of the products, divided by the root of the sum of their squares by day, is large for the
 //! true rotation and its multiples. A wrong choice does little: it only smooths over some days. Invariant: the numbers
 //! of days are [`SHORTEST`]`..=`[`LONGEST`] without the week.
@@ -10,24 +10,24 @@ use crate::LocalDay;
 
 /// The shortest rotation in days.
 pub(super) const SHORTEST: usize = 2;
-/// The longest.
+/// The longest rotation in days.
 pub(super) const LONGEST: usize = 42;
 /// The week has its own table.
 const WEEK: usize = 7;
 /// The share of the sums that remains after each further observed day.
 const KEPT: f64 = 0.985;
-/// Steps between residuals of 0 and of 1.
+/// Number of steps between residuals of 0 and of 1.
 const STEPS: f64 = 127.0;
 
-/// Numbers of days to choose from.
+/// Number of rotations to choose from.
 pub(super) const ROTATIONS: usize = LONGEST - SHORTEST + 1;
 
-/// The residuals of the last days, and how well each rotation fits.
+/// The residuals of the last days, and the fit of each rotation.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Rotation {
-    /// By the day's number modulo [`LONGEST`]; empty before the first day.
+    /// Indexed by the day's number modulo [`LONGEST`]; empty before the first day.
     pub(super) residuals: Vec<[i8; SLOTS]>,
-    /// By number of days, from [`SHORTEST`]: faded sums of the daily sums of products, and of their squares.
+    /// Faded sums of the daily sums of products, and of their squares, by number of days from [`SHORTEST`].
     pub(super) products: [f32; ROTATIONS],
     pub(super) squares: [f32; ROTATIONS],
     pub(super) last: Option<LocalDay>,
@@ -54,14 +54,14 @@ impl Rotation {
         best
     }
 
-    /// Learns the residuals of a day that is newer than all before, 0 where there was no look.
+    /// Learns the residuals of a day that is newer than all learned days, 0 where there is no bin.
     pub(super) fn learn(&mut self, day: LocalDay, residuals: &[f64; SLOTS]) {
         if self.residuals.is_empty() {
             self.residuals = vec![[0; SLOTS]; LONGEST];
         }
         let passed =
             self.last.map_or(LONGEST as i64, |last| i64::from(day.0) - i64::from(last.0)).clamp(1, LONGEST as i64);
-        // The place of the day itself still has the residuals of the longest rotation ago, if no day was passed over.
+        // The place of `day` still has the residuals of [`LONGEST`] days ago, unless that many days have passed.
         for back in 1..passed {
             self.residuals[Self::place(LocalDay(day.0.saturating_sub(back as i32)))] = [0; SLOTS];
         }

@@ -1,11 +1,11 @@
-//! The year of a state: what it was in the same season before.
+//! The rhythm of the year of a state, and its values in the same season of earlier years.
 //!
-//! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares
-//! as soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones,
-//! and its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory
-//! of the same days a year ago, which keeps sharp edges. Where the map names the year as a period, nine tenths of it
-//! are enough, and one harmonic needs no evidence: its amplitude is lowered all the same. Invariant: predictions lie
-//! strictly between 0 and 1.
+//! The half-hour bins of five days are averaged to one five-day mean. A rhythm of up to three harmonics of the year is
+//! fitted by least squares as soon as the record spans a year; each order is weighted by how well it explains the
+//! means, counted as independent ones, and its amplitude is lowered by the amplitude that noise would have. So on noise
+//! the rhythm is the mean. The values of the same days of earlier years are used beside it, and keep sharp edges. Where
+//! the map names the year as a period, a record of nine tenths of a year is enough, and one harmonic needs no evidence,
+//! but its amplitude is lowered all the same. Invariant: predictions lie strictly between 0 and 1.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -13,36 +13,36 @@ use super::stack::clip;
 use crate::LocalDay;
 use crate::special::square;
 
-/// Days of one mean.
+/// Number of days of one mean.
 const BIN_DAYS: i64 = 5;
-/// Means that are kept: four years.
+/// Maximum number of means: four years.
 const BINS_MAX: usize = 293;
 const YEAR_DAYS: f64 = 365.25;
-/// Harmonics of the year.
+/// Maximum number of harmonics of the year.
 const ORDERS: usize = 3;
-/// A record must span this share of a year, with one more of its usual gaps.
+/// A record, extended by one of its usual gaps, must span this share of a year.
 const YEAR_SEEN: f64 = 0.99;
-/// The share where the map names the year as a period.
+/// The share of a year that a record must span where the map names the year as a period.
 const EXPECTED_YEAR_SEEN: f64 = 0.9;
-/// Squared error that every order has.
+/// The mean squared error of an order counts as larger by this.
 const ERROR_MIN: f64 = 0.02;
-/// The log of the evidence that each further harmonic must bring, per log of the number of means.
+/// The log evidence that each further harmonic must gain, per log of the number of independent means.
 const COST: f64 = 1.5;
-/// The log of the evidence that any rhythm must bring.
+/// The log evidence that a rhythm of any order must gain in addition.
 const COST_OF_ANY: f64 = 0.7;
 const RIDGE: f64 = 0.3;
-/// With fewer means the rhythm is solved every day, else with each new mean.
+/// With fewer means the rhythm is fitted every day, else with each new mean.
 const OFTEN_SOLVED: usize = 40;
-/// Means as far apart as this are neighbours, in days.
+/// Means less than this many days apart are neighbours.
 const ADJACENT_DAYS: f64 = 7.5;
-/// The looks that the rhythm counts beside those of the same days in earlier years.
+/// The rhythm counts as this many bins, beside the bins of the same days of earlier years.
 const RHYTHM_LOOKS: f64 = 4.0;
-/// How much the five days before and after count.
+/// The weight of the five days before and of the five days after.
 const BESIDE: f64 = 0.25;
-/// Earlier years that are remembered.
+/// Number of earlier years that are used.
 const YEARS: i64 = 4;
 
-/// The looks of five days.
+/// The half-hour bins of five days.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bin {
     /// The first observed day.
@@ -63,26 +63,26 @@ pub(super) struct Season {
     pub(super) bins: Vec<Bin>,
     pub(super) first: Option<LocalDay>,
     pub(super) last: Option<LocalDay>,
-    /// How often each class of gaps between observed days occurred; see [`GAPS`].
+    /// Number of gaps between observed days in each class; see [`GAPS`].
     pub(super) gaps: [u32; GAPS.len()],
     pub(super) rhythm: Rhythm,
-    /// The map names the year as a period. Not stored: each update says it before it learns.
+    /// The map names the year as a period. Not stored: each update sets it before it learns.
     pub(super) is_expected: bool,
 }
 
-/// The longest gap of each class, in days. Longer ones are of the last class: a record with a hole of months does not
-/// span what it did not see.
+/// The longest gap of each class, in days. Longer gaps count in the last class: a record does not span a hole of
+/// months.
 pub(super) const GAPS: [i64; 5] = [1, 2, 7, 15, 31];
 
 /// A rhythm of the year.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rhythm {
     pub(super) mean: f64,
-    /// Cosine and sine by harmonic, averaged over the orders.
+    /// Amplitudes of cosine and sine by harmonic, averaged over the orders.
     pub(super) waves: [[f64; 2]; ORDERS],
 }
 
-/// One order of the rhythm.
+/// The rhythm of one order, fitted to the means.
 struct Solved {
     order: usize,
     independent: f64,
@@ -101,7 +101,7 @@ fn phases(day: f64) -> [[f64; 2]; ORDERS] {
 impl Rhythm {
     pub(super) const UNKNOWN: Rhythm = Rhythm { mean: 0.5, waves: [[0.0; 2]; ORDERS] };
 
-    /// The value on a day, apart from the hour.
+    /// The value on a day, whatever the hour.
     pub(super) fn at(&self, day: LocalDay) -> f64 {
         if self.waves == [[0.0; 2]; ORDERS] {
             return clip(self.mean);
@@ -125,7 +125,7 @@ impl Season {
         }
     }
 
-    /// Learns the looks of a day: their sum and number, above 0.
+    /// Learns the half-hour bins of a day: their sum and number, above 0.
     pub(super) fn learn(&mut self, day: LocalDay, sum: f64, looks: f64) {
         let number = i64::from(day.0).div_euclid(BIN_DAYS);
         let place = self.bins.partition_point(|bin| bin.number() < number);
@@ -150,7 +150,7 @@ impl Season {
         }
         self.first = Some(self.first.map_or(day, |first| first.min(day)));
         self.last = Some(self.last.map_or(day, |last| last.max(day)));
-        // A year has too many means to solve it again every day.
+        // A year has too many means to fit the rhythm again every day.
         if self.bins.len() != bins || self.bins.len() < OFTEN_SOLVED {
             self.rhythm = self.solve();
         }
@@ -242,7 +242,7 @@ impl Season {
         let dependence =
             if adjacent.len() > 3 { (adjacent.iter().sum::<f64>() / squared_error.max(1e-9)).max(0.0) } else { 0.0 };
         let independent = (number as f64 * (1.0 - dependence) / (1.0 + dependence)).max(4.0);
-        // What as many waves explain of noise, against what they explain.
+        // The variation that as many waves would explain in noise, and the variation that they do explain.
         let (waves, number) = (2.0 * order as f64, number as f64);
         let noise = waves * squared_error / (independent - waves - 1.0).max(1.0);
         let explained = ((flat_error - squared_error) * independent / number).max(1e-9);
@@ -250,7 +250,7 @@ impl Season {
         Some(Solved { order, independent, squared_error, coefficients, shrunk: (1.0 - noise / explained).max(0.0) })
     }
 
-    /// What the state was on the same days of earlier years, shrunk to `rhythm`'s value on the day.
+    /// The mean of the state on the same days of earlier years, shrunk to `rhythm`'s value on the day.
     pub(super) fn years_ago(&self, day: LocalDay, rhythm: &Rhythm) -> f64 {
         let (mut sum, mut number) = (RHYTHM_LOOKS * rhythm.at(day), RHYTHM_LOOKS);
         for years in 1..=YEARS {
@@ -292,14 +292,14 @@ mod tests {
 
     #[test]
     fn a_year_that_is_named_needs_fewer_looks() {
-        // Eleven monthly looks, of which those of the winter differ.
+        // Eleven monthly bins; those of the winter differ.
         let swing = |is_expected: bool| {
             let mut season = Season { is_expected, ..Season::new() };
             (0..11).for_each(|month| season.learn(LocalDay(30 * month), f64::from(u8::from(month < 4)), 1.0));
             season.rhythm.at(LocalDay(45 + 365)) - season.rhythm.at(LocalDay(230 + 365))
         };
         assert!(swing(true) > 0.5 && swing(false) == 0.0, "{} {}", swing(true), swing(false));
-        // What looks like noise stays as good as flat.
+        // A rhythm fitted to values without a yearly rhythm stays nearly flat.
         let mut season = Season { is_expected: true, ..Season::new() };
         (0..11).for_each(|month| season.learn(LocalDay(30 * month), f64::from(u8::from(month % 3 == 0)), 1.0));
         assert!(season.rhythm.waves.as_flattened().iter().all(|wave| wave.abs() < 0.05), "{:?}", season.rhythm);

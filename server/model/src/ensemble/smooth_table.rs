@@ -1,10 +1,10 @@
-//! A smooth table of the hours of weekday and weekend, for few looks and for hours that were never looked at.
+//! A smooth table of the hours of weekday and weekend, for states with few half-hour bins and for hours without any.
 //!
 //! A linear hierarchical model: the value at an hour is a common level, plus a daily shape that is smooth over
-//! neighbouring hours and partly shared by weekdays and weekends, plus noise of single looks (the best linear unbiased
+//! neighbouring hours and partly shared by weekdays and weekends, plus noise of single bins (the best linear unbiased
 //! prediction of C. R. Henderson, "Best linear unbiased estimation and prediction under a selection model", Biometrics
 //! 31, 1975). Three strengths and widths of the shape are averaged by their marginal likelihood; one of them has no
-//! shape. Near an hour with looks the prediction follows them; far from all looks it is the state's level. Invariant:
+//! shape. Near an hour with bins the prediction follows them; far from all bins it is the state's level. Invariant:
 //! every value lies strictly between 0 and 1.
 
 use std::sync::OnceLock;
@@ -15,7 +15,7 @@ use super::week_table::WeekTable;
 use crate::hours_seen::{HOURS, Hours};
 use crate::special::square;
 
-/// Hours of weekday and weekend.
+/// Number of cells: the hours of weekday and weekend.
 const CELLS: usize = 2 * HOURS;
 /// The share of the variance that the daily shape has.
 const SHAPE_SHARE: f64 = 0.6;
@@ -23,13 +23,13 @@ const SHAPE_SHARE: f64 = 0.6;
 const WIDTHS: [f64; 2] = [1.5, 3.0];
 /// The prior probability that there is no daily shape.
 const NO_SHAPE: f64 = 0.7;
-/// The share of the shape's variance that each kind of day has for itself.
+/// The share of the variance of the shape that is separate for each kind of day.
 const OWN_KIND: f64 = 0.3;
-/// The share that an hour has for itself, without its neighbours.
+/// The share of the variance that is separate for each hour, without correlation to its neighbours.
 const OWN_HOUR: f64 = 0.15;
-/// Looks keep at least this share of the variance as noise.
+/// Bins keep at least this share of the variance as noise.
 const NOISE_MIN: f64 = 0.08;
-/// The value before any look, which counts as one look.
+/// The value before the first bin, which counts as one bin.
 const PRIOR: f64 = 0.5;
 
 /// The value by hour of the kind of day: of weekdays, then of weekends.
@@ -53,13 +53,13 @@ fn shapes() -> &'static [DMatrix<f64>; WIDTHS.len()] {
     })
 }
 
-/// What one strength and width predicts, with the logarithm of its marginal likelihood.
+/// The prediction of one strength and width, with the logarithm of its marginal likelihood.
 struct Solved {
     evidence: f64,
     values: [f64; CELLS],
 }
 
-/// The smooth table of the looks in a table of sums.
+/// The smooth table of the bins in a table of sums.
 pub(super) fn smooth_table(table: &WeekTable) -> KindHours {
     let (sums, looks) = (table.sums_by_kind(), table.looks_by_kind());
     let (sums, looks) = (sums.as_flattened(), looks.as_flattened());
@@ -100,7 +100,7 @@ pub(super) fn smooth_table(table: &WeekTable) -> KindHours {
         all += share;
         cells.iter_mut().zip(solved.values).for_each(|(cell, value)| *cell += share * value);
     }
-    // A covariance plus noise is positive definite; if rounding says otherwise, the mean is what is known.
+    // A covariance plus noise is positive definite; if rounding breaks this, the prediction is the mean.
     let value = |cell: f64| if all > 0.0 { cell / all } else { mean };
     let mut values = [[0.0; HOURS]; 2];
     values.as_flattened_mut().iter_mut().zip(cells).for_each(|(out, cell)| *out = value(cell));

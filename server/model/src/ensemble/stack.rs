@@ -1,36 +1,37 @@
-//! The members joined in log odds: weights that learn each night how much each member deserves (D. H. Wolpert, "Stacked
-//! generalization", Neural Networks 5, 1992).
+//! Members combined in log odds, with weights that are learned each night (D. H. Wolpert, "Stacked generalization",
+//! Neural Networks 5, 1992).
 //!
-//! A logistic regression on the log odds of some members and on what the last days left over, trained on predictions
-//! that were made before their day was learned. One step of iteratively reweighted least squares a look, with sums that
-//! fade, and a ridge towards the average of the weekday tables. A look that was predicted surely holds the weights, too
-//! ([`curvature`]), so that a few odd days do not outweigh weeks of usual ones. Invariant: weights are finite.
+//! A logistic regression on the log odds of some members and on the residuals of the last days, trained on predictions
+//! that were made before their day was learned. It makes one step of iteratively reweighted least squares for each
+//! half-hour bin, with sums that fade, and a ridge towards the average of the weekday tables and the chosen model. A
+//! bin that was predicted with near certainty still has a weight ([`curvature`]), so that a few odd days do not
+//! outweigh weeks of usual ones. Invariant: weights are finite.
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 use super::looks::{DayLooks, SLOTS};
 
-/// Members of which the log odds count.
+/// Number of members whose log odds are features.
 pub(super) const MEMBERS: usize = 7;
-/// Residuals: of 1, 2, 7, 14 days ago, of the last day of the kind, of 28 days ago.
+/// Number of residuals: of 1, 2, 7, 14 days ago, of the last day of the kind, of 28 days ago.
 pub(super) const RESIDUALS: usize = 6;
-/// All features; the last is 1.
+/// Number of all features; the last feature is 1.
 pub(super) const FEATURES: usize = MEMBERS + RESIDUALS + 1;
-/// Entries of the lower triangle of the matrix of the sums.
+/// Number of entries of the lower triangle of the matrix of the sums.
 pub(super) const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
 
-/// The weights before any look: of kind and weekday tables of all history, and of the chosen model.
+/// The weights before the first bin: of kind and weekday tables of all history, and of the chosen model.
 const WEIGHTS: [f64; MEMBERS] = [0.335, 0.335, 0.0, 0.0, 0.0, 0.0, 0.33];
-/// How many looks the weights before any look count as: for members and residuals, and for the constant.
+/// The weights before the first bin count as this many bins: those of members and residuals, and that of the constant.
 const RIDGE: f64 = 20.0;
 const RIDGE_CONSTANT: f64 = 300.0;
 
-/// The least curvature of a look.
+/// The least curvature of a bin.
 const CURVATURE_MIN: f64 = 1e-3;
 /// The log odds of the bounds of [`clip`].
 const LOG_ODDS_MAX: f64 = 6.906_754_778_648_554;
-/// The curvature of a look that was predicted as surely as [`clip`] allows: the slope of the chord of the logistic
-/// function between its bounds. The local one is seventy times less.
+/// The curvature of a bin whose prediction was at a bound of [`clip`]: the slope of the chord of the logistic function
+/// between the bounds. The local curvature is seventy times less.
 const CURVATURE_OF_SURE: f64 = 0.998 / (2.0 * LOG_ODDS_MAX);
 
 /// The features of each half-hour of a day.
@@ -46,15 +47,16 @@ pub(super) fn probability(log_odds: f64) -> f64 {
     clip(1.0 / (1.0 + libm::exp(-log_odds.clamp(-30.0, 30.0))))
 }
 
-/// No member is surer than one in a thousand.
+/// A probability, limited to 0.001 to 0.999: no member is more certain than that.
 pub(super) fn clip(p: f64) -> f64 {
     p.clamp(1e-3, 1.0 - 1e-3)
 }
 
-/// How strongly a look holds the log odds that were predicted for it, as the curvature of its loss. Where predictions
-/// are sure, the local curvature p (1 - p) is nearly 0, though the loss is steep farther on: a step by it would count
-/// usual days for nothing, and answer a surprise with hundreds in log odds. So a surprise has the slope of the chord to
-/// what was seen, and a sure prediction more of [`CURVATURE_OF_SURE`] the surer it was.
+/// The curvature of the loss of a bin at the predicted log odds, which is the weight of the bin in the regression.
+/// Where a prediction is nearly certain, the local curvature p (1 - p) is nearly 0, though the loss is steep farther
+/// away: with it, usual days would have no weight, and a surprise would change the log odds by hundreds. So a surprise
+/// has the slope of the chord to the observed value, and a prediction has a share of [`CURVATURE_OF_SURE`] that grows
+/// with its certainty.
 fn curvature(predicted: f64, value: f64) -> f64 {
     let (p, seen) = (probability(predicted), clip(value));
     let sureness = predicted.abs().min(LOG_ODDS_MAX) / LOG_ODDS_MAX;
@@ -95,7 +97,7 @@ impl Stack {
         probability(self.sum(features))
     }
 
-    /// Learns the looks of a day from the features that were known before it.
+    /// Learns the bins of a day from the features that were computed before the day.
     pub(super) fn learn(&mut self, features: &Features, looks: &DayLooks) {
         let mut squares = self.squares.map(|sum| self.kept * f64::from(sum));
         let mut products = self.products.map(|sum| self.kept * f64::from(sum));
@@ -126,7 +128,7 @@ impl Stack {
             matrix[(row, row)] += ridge;
             vector[row] += ridge * at_first(row);
         }
-        // The factorisation reads the lower triangle alone. With the ridge it exists; if rounding says otherwise, the
+        // The factorisation reads the lower triangle alone. With the ridge it exists; if rounding breaks this, the
         // weights stay.
         if let Some(factor) = Cholesky::new(matrix) {
             let solved = factor.solve(&vector);
@@ -164,7 +166,7 @@ mod tests {
             };
             DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
         };
-        // All members are sure, and know the usual day.
+        // All members are nearly certain, and right on the usual day.
         let x = |sign: f64| {
             let mut x = [sign * log_odds(0.999); FEATURES];
             x[MEMBERS..].fill(0.0);
@@ -195,7 +197,7 @@ mod tests {
         let features = |day: i64| {
             let mut features = [[0.0; FEATURES]; SLOTS];
             for (slot, x) in features.iter_mut().enumerate() {
-                // The third member knows, the first says the opposite.
+                // The third member is right, the first predicts the opposite.
                 let right = if (slot as i64 / 7 + day) % 2 == 0 { 0.9 } else { 0.1 };
                 x[2] = log_odds(right);
                 x[0] = -x[2];

@@ -1,7 +1,7 @@
-//! An ensemble that is trained on readings at once, as if updates had learned them night by night.
+//! An ensemble that is trained on all readings at once, as if updates had learned them night by night.
 //!
-//! Its chosen model is the calibrated one, trained again on the days on which updates train it. Invariant: each day is
-//! predicted by what was trained on the days before it.
+//! The chosen model of the ensemble is the calibrated one, trained again on the days on which updates train it.
+//! Invariant: each day is predicted by models that were trained on the days before it.
 
 use super::{AnyEnsemble, OtherModels};
 use crate::{
@@ -9,9 +9,9 @@ use crate::{
     models::{Calibrated, CalibratedOptions, CannotTrain, Moment, NIGHTLY_WINDOW_NANOS, Readings, TemporalModel},
 };
 
-/// The calibrated model is trained daily up to this day, then every so many days.
+/// The calibrated model is trained daily up to this day, then once every this many days.
 const RETRAIN_DAYS: i64 = 7;
-/// And first after this many days.
+/// The calibrated model is first trained after this many days.
 const FIRST_DAYS: i64 = 3;
 
 /// An ensemble with its chosen model.
@@ -22,7 +22,7 @@ pub struct TrainedEnsemble {
     chosen: Option<Calibrated>,
 }
 
-/// What the mean of an ensemble predicts.
+/// A model that always predicts the mean of an ensemble.
 struct MeanAlone(f64);
 
 impl TemporalModel for MeanAlone {
@@ -31,7 +31,7 @@ impl TemporalModel for MeanAlone {
     }
 }
 
-/// The mean is all that is known of all history.
+/// The mean serves as the model of all history.
 fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> OtherModels<'a> {
     match chosen {
         Some(chosen) => OtherModels { chosen, lasting: mean, expects_year: false },
@@ -40,11 +40,11 @@ fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> OtherModel
 }
 
 impl TrainedEnsemble {
-    /// Trains it on the readings of a state whose values are of a kind. A half-life does not apply: the members forget
-    /// by themselves.
+    /// Trains an ensemble on the readings of a state whose values are of `kind`. A half-life does not apply: the
+    /// members forget by themselves.
     ///
     /// # Errors
-    /// [`CannotTrain`] where there are no readings, or it is told to stop.
+    /// [`CannotTrain`] where there are no readings, or the stop signal is set.
     pub fn train(readings: Readings<'_>, kind: StateKind) -> Result<TrainedEnsemble, CannotTrain> {
         let samples = readings.samples;
         if samples.is_empty() {

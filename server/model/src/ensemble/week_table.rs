@@ -1,51 +1,51 @@
-//! Sums over looks by hour of the local week, and the table that follows from them.
+//! Sums over half-hour bins by hour of the local week, and the table that follows from them.
 //!
 //! The table has four levels, each shrunk towards the one before: the mean, the hour of the day, the hour of the kind
 //! of day (Monday to Friday, or weekend), the hour of the weekday. A cell's prior is a mixture: its mean is that of the
-//! coarser level or that of the neighbouring hours, its strength 1, 5, 25 or 125 looks. The cell weighs these eight
-//! priors by how well each explains its own looks (the beta-binomial likelihood) and by how often each has explained
-//! the cells of its level before (empirical Bayes). So a state without a daily rhythm keeps its mean, and one that
-//! changes sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
+//! coarser level or that of the neighbouring hours, its strength 1, 5, 25 or 125 bins. The cell weighs these eight
+//! priors by how well each explains its own bins (the beta-binomial likelihood) and by how often each has explained the
+//! cells of its level before (empirical Bayes). So a state without a daily rhythm keeps its mean, and one that changes
+//! sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
 
 use super::looks::DayLooks;
 use crate::hours_seen::{HOURS, Hours, SATURDAY, kind_of_day};
 use crate::special::ln_rising;
 
-/// The strengths of the priors, in looks.
+/// The strengths of the priors, in bins.
 const STRENGTHS: [f64; 4] = [1.0, 5.0, 25.0, 125.0];
-/// Priors of a cell: each strength towards the coarser level, then each towards the neighbouring hours.
+/// Number of priors of a cell: each strength towards the coarser level, then each towards the neighbouring hours.
 pub(super) const PRIORS: usize = 2 * STRENGTHS.len();
-/// How the priors are weighted before any look.
+/// The weights of the priors before the first bin.
 const PRIOR_WEIGHTS: [f64; PRIORS] = [0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2];
-/// Each day the weights of the priors keep this share, gain the [`LEARNED`] share of what the cells say, and
-/// [`RETURNED`] times the weights before any look.
+/// Each day the weights of the priors keep this share, gain [`LEARNED`] times the responsibilities of the priors for
+/// the cells, and [`RETURNED`] times the weights before the first bin.
 const KEPT: f64 = 0.8;
 const LEARNED: f64 = 0.2;
 const RETURNED: f64 = 0.4;
-/// The weights of the priors tend to this multiple of those before any look.
+/// The weights of the priors tend to this multiple of those before the first bin.
 const RESTING: f64 = RETURNED / (1.0 - KEPT);
-/// Of the weights before the first day.
+/// The factor on [`PRIOR_WEIGHTS`] before the first day.
 const AT_FIRST: f64 = 16.0;
-/// Neighbouring hours on each side; each further one counts half.
+/// Number of neighbouring hours on each side; each further one counts half.
 const NEIGHBOURS: usize = 4;
-/// The looks that the coarser level counts among the neighbours.
+/// The coarser level counts as this many bins among the neighbours.
 const NEIGHBOUR_PRIOR: f64 = 4.0;
 /// A prior mean is at least this far from 0 and 1.
 const EDGE: f64 = 1e-3;
 
-/// Levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
+/// Number of levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
 pub(super) const LEVELS: usize = 3;
 
-/// Sums over looks by hour of the local week, which fade by age if the table has a half-life.
+/// Sums over bins by hour of the local week, which fade by age if the table has a half-life.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct WeekTable {
-    /// Days after which a look counts half; `None`: never.
+    /// Days after which a bin counts half; `None`: never.
     half_life_days: Option<f64>,
-    /// Of each weekday, from Monday: the sum of the looks' values by hour.
+    /// The sum of the values of the bins, by weekday from Monday and hour.
     pub(super) sums: [[f32; HOURS]; 7],
-    /// And their number.
+    /// The number of bins, by weekday from Monday and hour.
     pub(super) looks: [[f32; HOURS]; 7],
-    /// How the priors of each level are weighted.
+    /// The weights of the priors of each level.
     pub(super) weights: [[f32; PRIORS]; LEVELS],
 }
 
@@ -54,11 +54,11 @@ pub(super) struct WeekTable {
 pub(super) struct DayLevels {
     /// The value by hour of the day.
     pub(super) hour: Hours,
-    /// By hour of the kind of day.
+    /// The value by hour of the kind of day.
     pub(super) kind: Hours,
-    /// By hour of the weekday.
+    /// The value by hour of the weekday.
     pub(super) weekday: Hours,
-    /// How much the looks of each level speak for each prior.
+    /// The responsibility of each prior for the bins of each level, summed over the hours.
     responsibilities: [[f64; PRIORS]; LEVELS],
 }
 
@@ -76,22 +76,22 @@ impl WeekTable {
         hours
     }
 
-    /// Sum and number of the looks of some weekdays by hour.
+    /// Sum and number of the bins of some weekdays by hour.
     fn sums_of(&self, weekdays: std::ops::Range<usize>) -> (Hours, Hours) {
         (Self::of_days(&self.sums, weekdays.clone()), Self::of_days(&self.looks, weekdays))
     }
 
-    /// Number of looks by hour of the kind of day: of weekdays, then of the weekend.
+    /// Number of bins by hour of the kind of day: of weekdays, then of the weekend.
     pub(super) fn looks_by_kind(&self) -> [Hours; 2] {
         [Self::of_days(&self.looks, 0..SATURDAY), Self::of_days(&self.looks, SATURDAY..7)]
     }
 
-    /// Sum of the looks by hour of the kind of day: of weekdays, then of the weekend.
+    /// Sum of the bins by hour of the kind of day: of weekdays, then of the weekend.
     pub(super) fn sums_by_kind(&self) -> [Hours; 2] {
         [Self::of_days(&self.sums, 0..SATURDAY), Self::of_days(&self.sums, SATURDAY..7)]
     }
 
-    /// The levels for a weekday. `mean`: of all looks.
+    /// The levels for a weekday. `mean`: the mean of all bins.
     pub(super) fn levels(&self, weekday: usize, mean: f64) -> DayLevels {
         let of_kind = if weekday >= SATURDAY { SATURDAY..7 } else { 0..SATURDAY };
         let [mut first, mut second, mut third] = [[0.0; PRIORS]; LEVELS];
@@ -101,7 +101,7 @@ impl WeekTable {
         DayLevels { hour, kind, weekday, responsibilities: [first, second, third] }
     }
 
-    /// By hour of the kind of day, and by hour of the weekday, for the whole week.
+    /// The values by hour of the kind of day, and by hour of the weekday, for the whole week.
     pub(super) fn week(&self, mean: f64) -> ([Hours; 2], [Hours; 7]) {
         let mut unused = [0.0; PRIORS];
         let hour = level(self.sums_of(0..7), &[mean; HOURS], &self.weights[0], &mut unused);
@@ -111,7 +111,7 @@ impl WeekTable {
         (kinds, [0, 1, 2, 3, 4, 5, 6].map(weekday))
     }
 
-    /// Lets days without looks pass.
+    /// Ages the table by days without bins.
     pub(super) fn pass(&mut self, days: f64) {
         let kept = libm::pow(KEPT, days);
         for (weight, resting) in self.weights.iter_mut().flat_map(|level| level.iter_mut().zip(PRIOR_WEIGHTS)) {
@@ -129,7 +129,7 @@ impl WeekTable {
         }
     }
 
-    /// Learns a day, for which `levels` were computed before.
+    /// Learns a day. `levels`: those that were computed before the day.
     pub(super) fn learn(&mut self, weekday: usize, looks: &DayLooks, levels: &DayLevels) {
         for (weights, said) in self.weights.iter_mut().zip(&levels.responsibilities) {
             for ((weight, said), first) in weights.iter_mut().zip(said).zip(PRIOR_WEIGHTS) {
@@ -140,7 +140,7 @@ impl WeekTable {
         self.add(weekday, looks, 1.0);
     }
 
-    /// Adds looks with a weight.
+    /// Adds bins with a weight.
     pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, weight: f64) {
         for (slot, value) in looks.seen() {
             self.sums[weekday][slot / 2] += (weight * value) as f32;
@@ -148,13 +148,13 @@ impl WeekTable {
         }
     }
 
-    /// The weight of a look that is so many days old.
+    /// The weight of a bin of this age in days.
     pub(super) fn weight_at_age(&self, days: f64) -> f64 {
         self.half_life_days.map_or(1.0, |half_life_days| libm::exp2(-days / half_life_days))
     }
 }
 
-/// The values of one level, and how much its looks speak for each prior, added up.
+/// The values of one level. Adds the responsibility of each prior for the bins of the level to `responsibilities`.
 fn level(
     (sums, looks): (Hours, Hours),
     coarser: &Hours,
@@ -176,7 +176,7 @@ fn level(
             let towards = if prior < STRENGTHS.len() { coarser[hour] } else { near }.clamp(EDGE, 1.0 - EDGE);
             let (prior_ones, prior_zeros) = (strength * towards, strength * (1.0 - towards));
             if number > 0.0 {
-                // The beta-binomial likelihood, but for what is the same for all priors.
+                // The beta-binomial likelihood, without the factor that all priors share.
                 let of_prior = ln_rising(prior_ones, sum) + ln_rising(prior_zeros, zeros);
                 *evidence += of_prior - of_number[prior % STRENGTHS.len()];
             }

@@ -1,10 +1,10 @@
 //! Alternatives to the spectral model: histograms and models that are trained on readings, and the choice among all by
 //! held-out error.
 //!
-//! Each is scored on a local day before the day is learned, as the orders of the spectral model are, with the same
-//! fading (T-RO section IV.B). Histograms follow from sums of the training data; the others are trained outside, on the
-//! readings themselves, and handed in from time to time. Invariant: the errors of all are over the same observations,
-//! so that they can be compared, and no model is scored on what it was trained on.
+//! Each model is scored on a local day before the day is learned, as the orders of the spectral model are, with the
+//! same fading (T-RO section IV.B). Histograms follow from sums of the training data; the others are trained outside,
+//! on the readings themselves, and handed in from time to time. Invariant: the errors of all models are over the same
+//! observations, so that they can be compared, and no model is scored on its training data.
 
 use std::sync::Arc;
 
@@ -42,14 +42,14 @@ pub(super) struct TrainingRecord {
     pub(super) error: Option<f64>,
 }
 
-/// How a state is updated.
+/// The rules of an update of a state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UpdateRules {
-    /// Which error decides between orders and models.
+    /// The error that decides between orders and models.
     pub criterion: OrderCriterion,
     /// An observation of this many local days ago counts half, above 0; `None`: all count alike, however old.
     pub half_life_days: Option<f64>,
-    /// Which models there are to choose among.
+    /// The models to choose among.
     pub models: EnabledModels,
 }
 
@@ -62,7 +62,7 @@ impl From<OrderCriterion> for UpdateRules {
 /// Hysteresis: another model is chosen only if its error is lower than that of the model in force by this factor.
 pub(super) const CLEARLY_LOWER: f64 = 0.95;
 
-/// Days for which an alarm rings; then the change counts as history.
+/// Number of days for which an alarm rings; then the change counts as history.
 pub(super) const ALARM_DAYS: i32 = 28;
 
 /// The days that have triggered the alarm belong to the new routine: at least this many before the day on which it
@@ -82,7 +82,7 @@ const RETRAIN_DAYS: u32 = 7;
 /// record can already choose among them.
 const EARLY_TRAINING_DAYS: u32 = 3;
 
-/// What answers, if it is not the spectral model alone.
+/// The model in force, if it is not the spectral model alone.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ActiveModel<'a> {
     /// A histogram of the training data.
@@ -94,8 +94,8 @@ pub enum ActiveModel<'a> {
 }
 
 impl ActiveModel<'_> {
-    /// Whether it can tell of a moment: a histogram without readings of that hour, and of coarser ones, cannot, and
-    /// leaves it to the spectral model.
+    /// Whether it can predict a moment: a histogram that has no readings of that hour, nor of the coarser intervals
+    /// around it, cannot; then the spectral model predicts.
     pub fn covers(&self, at: Moment) -> bool {
         match self {
             ActiveModel::Histogram(model) => model.has_readings_near(at),
@@ -124,20 +124,19 @@ pub struct Alternatives {
     succession: Persistence,
     /// The times between the learned readings.
     gaps: Gaps,
-    /// Sum of |change of value| between them.
+    /// Sum of |change of value| between the learned readings.
     changes: f64,
     /// Number of components that noise would not show.
     supported: u8,
-    /// What the choice of orders has gained, day by day.
+    /// The gains of the choice of orders, day by day.
     gains: OrderGains,
     /// Local days learned, without late ones.
     days: u32,
     /// The first local day of the present routine, by the change alarm.
     since: Option<LocalDay>,
-    /// What answers where it is enabled.
-    /// Shared: readers have it too.
+    /// The ensemble, which predicts where it is enabled. Shared with readers.
     ensemble: Option<Arc<AnyEnsemble>>,
-    /// By their places in [`TRAINED_AT_NIGHT`].
+    /// The models that were trained on readings, by their places in [`TRAINED_AT_NIGHT`].
     trained: [Option<TrainingRecord>; TRAINED_AT_NIGHT.len()],
 }
 
@@ -160,7 +159,7 @@ impl Default for Errors {
     }
 }
 
-/// The error of one model on what a day brought.
+/// The error of one model on the samples of a day.
 #[derive(Clone, Copy, Debug, Default)]
 struct DayError {
     by_criterion: f64,
@@ -221,13 +220,13 @@ impl Alternatives {
         self.ensemble.as_deref()
     }
 
-    /// The ensemble to be changed.
+    /// The ensemble, for changes.
     pub(super) fn ensemble_mut(&mut self) -> &mut Option<Arc<AnyEnsemble>> {
         &mut self.ensemble
     }
 
-    /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
-    /// and of each of [`TRAINED_AT_NIGHT`] once it was scored.
+    /// Faded sums of errors of all models that are tried: of the spectral model with its best order, of each of
+    /// [`HISTOGRAMS`], and of each of [`TRAINED_AT_NIGHT`] once it was scored.
     pub fn error_sums(&self) -> impl Iterator<Item = (ModelKind, f64)> {
         let histograms = HISTOGRAMS.into_iter().zip(self.parts.histograms.into_iter().flatten());
         let trained = TRAINED_AT_NIGHT.into_iter().zip(&self.trained);
@@ -267,7 +266,7 @@ impl Alternatives {
         }
     }
 
-    /// A copy without the trained models that do not answer.
+    /// A copy without the trained models that are not in force.
     pub(super) fn published(&self) -> Alternatives {
         let weights = self.weights();
         let answers = |kind| weights.iter().any(|(choice, _)| *choice == kind);
@@ -275,7 +274,7 @@ impl Alternatives {
         for (kind, record) in TRAINED_AT_NIGHT.into_iter().zip(&mut published.trained) {
             *record = record.take().filter(|_| answers(kind));
         }
-        // A model that does not answer may still decide that others do not.
+        // A model that is not in force may still affect the weights of the others.
         if published.weights() == weights { published } else { self.clone() }
     }
 
@@ -291,7 +290,7 @@ impl Alternatives {
         }
     }
 
-    /// Whether recent errors depart from their history.
+    /// The change alarm, which rings when recent errors depart from earlier ones.
     pub fn alarm(&self) -> &ChangeAlarm {
         &self.alarm
     }
@@ -307,12 +306,12 @@ impl Alternatives {
         &self.gaps
     }
 
-    /// Records what the order that was best before a day has gained on it.
+    /// Records the gain on a day of the order that was best before the day.
     pub(super) fn record_gain(&mut self, order: usize, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
         self.gains.record(order, squared_errors, scored);
     }
 
-    /// A histogram of the learned readings; `None` where nothing was read, and for another kind of model.
+    /// A histogram of the learned readings; `None` where there are no readings, and for another kind of model.
     fn histogram(&self, kind: ModelKind) -> Option<Histogram> {
         let (cycle, bins) = kind.histogram()?;
         self.hours.histogram(cycle, bins)
@@ -320,10 +319,10 @@ impl Alternatives {
 
     /// Scores the enabled models on a day's newer samples and chooses. `spectral_day`: the error by the criterion of
     /// the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared
-    /// error of the order that was in force, and the squared error of a day that the alarm takes for 1: the variance of
-    /// values that are no probabilities. `combined`: the squared error of the models that answered together, if several
-    /// did; `spectral_of`: the prediction of the spectral model that was in force, which histograms use where they have
-    /// no readings. Gives the squared error of what answered.
+    /// error of the order that was in force, and the mean squared error of a day that counts as 1 for the alarm: for
+    /// values that are no probabilities, their variance. `combined`: the squared error of the combined models, if
+    /// several were in force; `spectral_of`: the prediction of the spectral model that was in force, which histograms
+    /// use where they have no readings. Returns the squared error of the models in force.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
@@ -354,8 +353,9 @@ impl Alternatives {
         let squared_in_force = combined.unwrap_or(alone);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let kept = self.parts.last_day.map(|last| kept(last, day));
-        // The spectral model may have been scored for long: the histograms begin with what it has, and trained models
-        // with what the model in force has, which they then have to beat from the same start.
+        // The spectral model may have been scored for many days. So the sums of histograms begin with its sum, and
+        // those of trained models with the sum of the model in force: from then on they are compared from an equal
+        // start.
         let before_spectral = spectral_sum - spectral_day;
         let faded = |sum: f64| kept.map(|kept| sum * kept);
         let sum_in_force = match self.parts.choice {
@@ -407,7 +407,8 @@ impl Alternatives {
         self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(RETRAIN_DAYS))
     }
 
-    /// Errors that differ by `rounding` or less are the same.
+    /// Puts the model with the lowest error in force, with hysteresis ([`CLEARLY_LOWER`]). Errors that differ by
+    /// `rounding` or less count as equal.
     fn choose(&mut self, rounding: f64) {
         let sum_of = |wanted: ModelKind| {
             self.error_sums().find(|(choice, _)| *choice == wanted).map_or(f64::INFINITY, |(_, sum)| sum)
@@ -467,7 +468,7 @@ impl Alternatives {
         self.supported = supported as u8;
     }
 
-    /// Learns an older day with the weight `factor`; a day of today has 1.
+    /// Learns an older day with the weight `factor`; a new day has the weight 1.
     pub(super) fn add_late(&mut self, samples: &[Sample], factor: f64) {
         let mut late = HourTable::default();
         late.add(samples);

@@ -1,27 +1,27 @@
-//! What a state learns about its newest reading, day by day.
+//! The daily learning of the short-term forecasts of a state.
 //!
-//! Invariant: the belief is scored against what answered by default before the day.
+//! Invariant: the belief is scored against the default predictions from before the day.
 
 use super::StateModel;
 use crate::special::square;
 use crate::{Belief, MemoryBasis, Periodicities, Sample, StateKind, StateSensor};
 
-/// Squared distances below this say nothing about a probability.
+/// The variance of a probability counts as at least this: smaller squared distances carry no information.
 const UNIT_MIN: f64 = 0.01;
 
 impl StateModel {
-    /// What is known about its newest reading; `None` while the state is untrained, unless its sensor is known.
+    /// The data for short-term forecasts; `None` while the state is untrained, unless its sensor is known.
     pub fn belief(&self) -> Option<&Belief> {
         self.belief.as_deref()
     }
 
-    /// Adds what is stored about the newest reading.
+    /// This state with stored data for short-term forecasts.
     #[must_use]
     pub fn with_belief(self, belief: Belief) -> StateModel {
         StateModel { belief: Some(Box::new(belief)), ..self }
     }
 
-    /// This state with a sensor that is known, from before its first observation on; only a probability has one.
+    /// This state with a known sensor, to be set before its first observation; only a probability has one.
     #[must_use]
     pub fn with_sensor(self, sensor: StateSensor) -> StateModel {
         if self.kind() != StateKind::Probability {
@@ -36,7 +36,7 @@ impl StateModel {
         self.belief().and_then(Belief::sensor)
     }
 
-    /// What the memory of the state needs beside its last values.
+    /// The data that the memory of the state needs beside its last values.
     pub fn memory_basis(&self) -> MemoryBasis {
         let mean = if self.kind() == StateKind::Probability { self.spectral().mean() } else { 0.5 };
         let rates = self.belief().and_then(Belief::rates_of_readings);
@@ -48,7 +48,7 @@ impl StateModel {
         }
     }
 
-    /// Learns a day, before anything else does.
+    /// Learns a day, before the other parts of the state learn it.
     pub(super) fn learn_belief(&mut self, periodicities: &Periodicities, of_day: &[Sample]) {
         let kind = self.kind();
         let mut belief = self.belief.take().unwrap_or_else(|| Box::new(Belief::new(kind == StateKind::Probability)));

@@ -1,4 +1,4 @@
-//! What answers of a state by default: the ensemble, else what the last update chose.
+//! The default predictions of a state: of the ensemble, else of the model that the last update chose.
 //!
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
@@ -9,12 +9,13 @@ use crate::{
     models::{Moment, TemporalModel as _},
 };
 
-/// Observations that share one table of phasors; it stays in cache.
+/// Number of observations that share one table of phasors, so that the table stays in cache.
 const CHUNK: usize = 1024;
 
 impl StateModel {
-    /// Predicts by what answers by default: the probability of 1, or the expected value. `out` is as long as the
-    /// moments; `phasors`: of their times, with the components in use. `periodicities` are those of its map.
+    /// Predicts with the default model: the probability of 1, or the expected value. `out` is as long as the moments;
+    /// `phasors`: the phasors of their times, with the components in use. `periodicities` are those of the map of the
+    /// state.
     pub fn predict_in_force_into(
         &self,
         periodicities: &Periodicities,
@@ -48,9 +49,9 @@ impl StateModel {
         }
     }
 
-    /// The expected squared distances of the means of the hours around moments from predictions of any model: that of
-    /// the ensemble's own prediction, and how far the two are apart. `None` where no ensemble of numbers answers.
-    /// `periodicities` are those of its map.
+    /// The expected squared distances of the means of the hours around moments from predictions of any model: the
+    /// variance of the ensemble, plus the squared distance of its prediction from that of the model. `None` where no
+    /// ensemble of numbers predicts. `periodicities` are those of the map of the state.
     pub fn variances_around(
         &self,
         periodicities: &Periodicities,
@@ -65,7 +66,7 @@ impl StateModel {
         Some(moments.iter().zip(own).zip(values).map(variance).collect())
     }
 
-    /// The predictions of what answers by default at the times of samples; `periodicities` are those of its map.
+    /// The predictions of the default model at the times of samples; `periodicities` are those of the map of the state.
     pub fn predict_in_force(&self, periodicities: &Periodicities, samples: &[Sample]) -> Vec<f64> {
         let components = self.spectral.components().iter().take(self.order());
         let components: Vec<u32> = components.map(|component| component.periodicity).collect();

@@ -1,4 +1,4 @@
-//! States that are not probabilities: what is learned, and that the unit does not matter.
+//! Tests of states that are not probabilities: their learned data, and that the unit does not matter.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::{Alternatives, StateKind, evaluate::score_samples};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 
-/// Every ten minutes for some days: a mean with a daily rhythm, and noise without one.
+/// Values every ten minutes for some days: a mean with a daily rhythm, and noise without one.
 fn rhythm(days: i64, seed: u64) -> Vec<f64> {
     let mut state = seed | 1;
     let mut noise = move || {
@@ -57,7 +57,7 @@ fn a_speed_is_learned_in_its_own_unit_and_beyond_zero_and_one() {
     let (low, high) = expected.iter().fold((f64::MAX, f64::MIN), |(low, high), &p| (low.min(p), high.max(p)));
     assert!(low < 0.0 && high > 20.0, "{low} {high}");
     let squared: f64 = expected.iter().zip(&learn).map(|(p, sample)| (p - sample.value).powi(2)).sum();
-    // The noise is uniform over 12.
+    // The noise is uniform with a width of 12, so its variance is 12.
     assert!((squared / 144.0 - 12.0).abs() < 3.0, "{}", squared / 144.0);
 }
 
@@ -120,7 +120,7 @@ fn parts_come_back_and_only_as_what_they_are() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Numbers in another unit, from another zero, give the same model; so do those of a probability, except for
+    /// Numbers in another unit, with another zero, give an equivalent model; so do those of a probability, except for
     /// saturation.
     #[test]
     fn the_unit_does_not_matter(seed in any::<u64>(), scale in 1e-3..1e6_f64, shift in -5.0..5.0_f64) {

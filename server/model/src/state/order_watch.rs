@@ -1,4 +1,4 @@
-//! What decides how many components of a state of two values count, and whether its errors have risen.
+//! Decides how many components of a state of two values are used, and whether its errors have risen.
 //!
 //! The rules of [`StateModel`](super::StateModel) without its models and tables, for states that are kept in large
 //! numbers: some hundred bytes each. Invariant: on the same readings the supported components, the gains and the alarm
@@ -27,7 +27,7 @@ pub struct OrderWatch {
     supported: u8,
 }
 
-/// What an [`OrderWatch`] consists of, for storage.
+/// The parts of an [`OrderWatch`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderWatchParts {
     /// Daily gains of the chosen orders.
@@ -37,7 +37,7 @@ pub struct OrderWatchParts {
     /// Sum over pairs of successive learned readings of |change| / time between, per second; the two values are 0 and
     /// 1.
     pub change_rate_sum: f64,
-    /// Number of these changes.
+    /// Number of changes between successive learned readings.
     pub changes: u32,
     /// Whether the newest learned reading is the higher value; `None` before the first.
     pub last: Option<bool>,
@@ -48,19 +48,19 @@ pub struct OrderWatchParts {
 /// The errors of a day's predictions, made before the day was learned.
 #[derive(Clone, Copy, Debug)]
 pub struct DayScores<'a> {
-    /// By the criterion of the map, summed over the day, per order.
+    /// Errors by the criterion of the map, summed over the day, per order.
     pub errors: &'a [f64; ORDER_MAX + 1],
-    /// Squared errors, summed likewise.
+    /// Squared errors, summed over the day, per order.
     pub squared: &'a [f64; ORDER_MAX + 1],
     /// Number of predictions, above 0.
     pub scored: u64,
     /// The order that was in force.
     pub order: usize,
-    /// The squared error that the alarm takes for 1: the squared difference of the two values.
+    /// The squared error that counts as 1 for the alarm: the squared difference of the two values.
     pub unit: f64,
 }
 
-/// What the support of components is judged by, beside the model.
+/// The data from which the support of components is determined, beside the model.
 #[derive(Clone, Copy, Debug)]
 pub struct LearnedReadings {
     /// Number of learned readings, each newer than the one before, less one.
@@ -78,7 +78,7 @@ pub struct LearnedReadings {
 }
 
 impl OrderWatch {
-    /// Of a state that has had one value so far; `None`: no value.
+    /// A watch of a state that has had one value so far; `None`: no value.
     pub fn of_constant(value: Option<bool>) -> OrderWatch {
         OrderWatch { last: value, ..OrderWatch::default() }
     }
@@ -103,14 +103,14 @@ impl OrderWatch {
         let was_ringing = self.alarm.alarm_day().is_some();
         let error = squared.get(order.min(ORDER_MAX)).map_or(0.0, |sum| sum / scored.max(1) as f64 / unit);
         if self.alarm.observe(day, error, scored) && !was_ringing {
-            // They are of another routine.
+            // The errors are of another routine.
             errors.fade(KEPT_AT_CHANGE);
             self.gains.fade(KEPT_AT_CHANGE);
         }
     }
 
-    /// Adds the changes among some newer readings: their number, the sum of 1 / time between the readings, per second,
-    /// over them, and the value after them.
+    /// Adds the changes among some newer readings: their number, the sum over the changes of 1 / time between the
+    /// readings, per second, and the value after them.
     pub fn learn(&mut self, changes: u32, change_rate_sum: f64, last: Option<bool>) {
         self.changes = self.changes.saturating_add(changes);
         self.change_rate_sum += change_rate_sum;
@@ -151,7 +151,7 @@ impl OrderWatch {
         self.last
     }
 
-    /// Whether recent errors depart from their history.
+    /// The change alarm, which rings when recent errors depart from earlier ones.
     pub fn alarm(&self) -> &ChangeAlarm {
         &self.alarm
     }

@@ -1,4 +1,4 @@
-//! What `state.rs` promises, against a naive oracle where there is one.
+//! The promises of `state.rs`, tested against a naive oracle where there is one.
 
 use proptest::prelude::*;
 
@@ -12,7 +12,7 @@ fn week() -> Periodicities {
     Periodicities::default()
 }
 
-/// Every ten minutes for some days from `from_day`: open by day, with some noise.
+/// Samples every ten minutes for some days from `from_day`: open by day, with some noise.
 fn door(from_day: i64, days: i64) -> Vec<Sample> {
     (from_day * 144..(from_day + days) * 144)
         .map(|slot| {
@@ -95,7 +95,7 @@ fn clocks_set_back_over_midnight_do_not_begin_the_day_twice() {
 
 #[test]
 fn with_a_half_life_an_old_routine_is_unlearned() {
-    // Open by day for eight weeks, then by night.
+    // The door is open by day for eight weeks, then by night.
     let mut samples = door(0, 56);
     samples.extend(door(56, 21).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }));
     let squared = |half_life_days| {

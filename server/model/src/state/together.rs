@@ -1,13 +1,13 @@
-//! One choice for states that are parts of one thing: the labels of a categorical state, or cosine and sine of an
-//! angle.
+//! One choice of a model for states that are parts of one quantity: the labels of a categorical state, or cosine and
+//! sine of an angle.
 //!
 //! Invariant: the sums of errors that are compared are over the same observations, because parts are observed together.
 
 use super::{StateModel, alternatives::CLEARLY_LOWER};
 use crate::catalogue::ModelKind;
 
-/// Chooses one model for all parts, by the sum of their errors. `before`: the one that was in force, which stays unless
-/// another has a sum that is lower by 5 %. A model that some part does not have is not chosen.
+/// Chooses one model for all parts, by the sum of their errors. `before`: the model that was in force, which stays
+/// unless another model has a sum that is lower by 5 %. A model that some part does not have is not chosen.
 pub fn choose_together(parts: &mut [&mut StateModel], before: ModelKind) {
     let errors = |part: &StateModel| -> Vec<(ModelKind, f64)> {
         part.alternatives().into_iter().flat_map(|known| known.error_sums()).collect()
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn parts_are_predicted_by_the_model_with_the_least_sum_of_errors() {
-        // A block of hours, which a histogram knows better, and a sine, of which no hour tells more than its mean.
+        // A block of hours, which a histogram predicts best, and noise, whose hours all have about the same mean.
         let mut block = learned(20, |_, hour| hour == 7);
         let mut noise = learned(20, |day, hour| (day * 31 + hour * 17) % 7 < 3);
         let sum_of = |model: &StateModel, kind: ModelKind| {

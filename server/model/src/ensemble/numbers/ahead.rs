@@ -1,11 +1,11 @@
-//! What answers two days ahead, a week, four weeks, a quarter, a year: a stack for each.
+//! Forecasts at lead times of two days, a week, four weeks, a quarter and a year: a stack for each of these classes.
 //!
-//! The readings of the days between are not known, so a stack joins tables, and what the same days of the last
-//! fortnight left over. Tables are taken with the means that they had as long before: so the stacks learn how long a
-//! table that forgets is of use, and their errors are those of predictions so far ahead. What was said within so many
-//! days is one piece of evidence. A stack that was not yet judged takes over what the shorter one says, without what
-//! has a window. Invariant: the farther ahead, the wider; a class that was not judged is as wide as the values of the
-//! state differ.
+//! The readings of the days between are not known, so a stack combines tables, and the residuals of the same days of
+//! the last fortnight. Tables are used with the means that they had at the lead time before: so the stacks learn how
+//! long a table that forgets is of use, and their errors are those of predictions at this lead time. Forecasts made
+//! within one lead time of each other are one piece of evidence. A stack that was not yet scored takes over the weights
+//! of the shorter class, with less weight for tables that forget. Invariant: the longer the lead time, the wider the
+//! prediction; a class that was not scored is as wide as the values of the state differ.
 
 use super::super::looks::{DayLooks, SLOTS};
 use super::SLOW;
@@ -15,57 +15,58 @@ use super::stack::LinearStack;
 use super::table::{HALF_LIVES_DAYS, Levels, RECENT, Shapes};
 use crate::{LocalDay, hours_seen::HOURS};
 
-/// The shortest time ahead of each class, in days.
+/// The shortest lead time of each class, in days.
 const AHEAD_DAYS: [i64; CLASSES] = [2, 7, 28, 91, 364];
 pub(super) const CLASSES: usize = 5;
-/// Features: weekday table, tables that forget, the model of all history, what the newest same weekday and the newest
-/// day of the same fortnight left over.
+/// Features: weekday table, tables that forget, the model of all history, the residuals of the newest day whole weeks
+/// before and of the newest day whole fortnights before.
 pub(super) const FEATURES: usize = RECENT + 4;
-/// Their weights before any look, two days ahead.
+/// The weights of the features before the first bin, for a lead time of two days.
 const WEIGHTS: [f64; FEATURES] = [0.0, 0.25, 0.25, 0.0, 0.0, 0.0, 0.0];
-/// See [`knows_repeated`].
+/// Number of classes for which [`knows_repeated`] is true.
 const REPEATED_CLASSES: usize = 2;
-/// Members of a class, and their weights before any look.
+/// Members of a class, and their weights before the first bin.
 pub(super) const MEMBERS: usize = 3;
 const PRIORS: [f64; MEMBERS] = [1.0, 0.5, 3.0];
-/// A table that forgets speaks for about so many of its half-lives ahead, unjudged.
+/// In a class that is not scored, a table that forgets has about half the weight at a lead time of this many of its
+/// half-lives.
 const WINDOWS: f64 = 4.0;
-/// How many hours the variance of all looks counts as, for each day ahead.
+/// The variance of all bins counts as this many hours for each day of lead time.
 const FIRST_HOURS: f64 = 48.0;
 
-/// A class of the time ahead.
+/// A lead-time class.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FarStack {
     pub(super) stack: LinearStack<FEATURES>,
     pub(super) pool: Pool<MEMBERS>,
-    /// Of the means of hours.
+    /// Squared errors of the means of hours.
     pub(super) errors: Squares,
     /// The two last turns of the class, the newer first.
     pub(super) kept_days: [Option<LocalDay>; 2],
-    /// The means of the tables at these.
+    /// The means of the tables at these turns.
     pub(super) kept: [Levels; 2],
 }
 
-/// The classes.
+/// All lead-time classes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FarStacks {
     pub(super) classes: [FarStack; CLASSES],
 }
 
-/// What the members of a class say of a day by half-hour: the table of all history, the model of all history, the
-/// stack.
+/// The forecasts of the members of a class for a day by half-hour: the table of all history, the model of all history,
+/// the stack.
 #[derive(Clone, Debug)]
 pub(super) struct AheadMembers {
     pub(super) values: [[f64; SLOTS]; MEMBERS],
     features: [[f64; FEATURES]; SLOTS],
 }
 
-/// The class of a time ahead in days; `None` below the first.
+/// The class of a lead time in days; `None` if it is shorter than the first class.
 pub(super) fn class_of(days: i64) -> Option<usize> {
     AHEAD_DAYS.iter().rposition(|&shortest| days >= shortest)
 }
 
-/// Whether a class knows of the last fortnight; before that, looks are forgotten.
+/// Whether a class can use the residuals of the last fortnight; older bins are forgotten.
 pub(super) fn knows_repeated(class: usize) -> bool {
     class < REPEATED_CLASSES
 }
@@ -82,7 +83,7 @@ impl FarStacks {
         FarStacks { classes: [CLASS; CLASSES] }
     }
 
-    /// The weights of a class that was not judged.
+    /// The weights of a class that was not scored.
     fn unjudged(&self, class: usize) -> [f64; FEATURES] {
         let Some(shorter) = class.checked_sub(1) else { return WEIGHTS };
         let mut weights = self.weights(shorter);
@@ -100,7 +101,8 @@ impl FarStacks {
         if self.is_judged(class) { self.classes[class].stack.weights } else { self.unjudged(class) }
     }
 
-    /// How much the members of a class count; one that was not judged takes over the weights of the shorter.
+    /// The weights of the members of a class; a class that was not scored takes over the weights of the next shorter
+    /// one.
     pub(super) fn pool_weights(&self, class: usize) -> [f64; MEMBERS] {
         match class.checked_sub(1).filter(|_| !self.is_judged(class)) {
             Some(shorter) => self.pool_weights(shorter),
@@ -108,8 +110,9 @@ impl FarStacks {
         }
     }
 
-    /// What the members of a class say. `levels`: the means of the tables when it is said; `lasting`: the model of all
-    /// history; `repeated`: what the same days before left over, if [`knows_repeated`].
+    /// The forecasts of the members of a class. `levels`: the means of the tables when the forecasts are made;
+    /// `lasting`: the predictions of the model of all history; `repeated`: the residuals of the same days before, if
+    /// [`knows_repeated`].
     pub(super) fn members(
         &self,
         class: usize,
@@ -138,13 +141,14 @@ impl FarStacks {
         said
     }
 
-    /// The means of the tables that a class has kept for long enough on a day, and for how many days.
+    /// The means of the tables that a class stored at least one lead time before a day, and how many days before.
     pub(super) fn kept(&self, class: usize, day: LocalDay) -> Option<(Levels, i64)> {
         let days = i64::from(day.0) - i64::from(self.classes[class].kept_days[1]?.0);
         (days >= AHEAD_DAYS[class]).then(|| (self.classes[class].kept[1], days))
     }
 
-    /// Judges what the members of a class would have said long before a day by the day's looks, and learns from it.
+    /// Scores the forecasts that the members of a class would have made at its lead time on the bins of a day, and
+    /// learns from them.
     pub(super) fn judge(&mut self, class: usize, looks: &DayLooks, said: &AheadMembers, variance: f64) {
         let forecast = pooled(&said.values, self.pool_weights(class));
         let (towards, days) = (self.unjudged(class), AHEAD_DAYS[class] as f64);
@@ -159,7 +163,7 @@ impl FarStacks {
         known.stack.learn_towards(targets, variance, towards, days);
     }
 
-    /// Keeps the means of the tables at the end of a day, for the classes of which days since `last` include the turn.
+    /// Stores the means of the tables at the end of a day, for the classes whose turn lies in the days after `last`.
     pub(super) fn keep(&mut self, last: Option<LocalDay>, day: LocalDay, levels: Levels) {
         let turn = |day: LocalDay, days: i64| i64::from(day.0).div_euclid(days);
         for (class, days) in self.classes.iter_mut().zip(AHEAD_DAYS) {
@@ -169,8 +173,8 @@ impl FarStacks {
         }
     }
 
-    /// How much wider predictions so many days ahead are than those of the next day, at least 1. `of_looks`: the
-    /// variance of all looks.
+    /// The factor by which the variance of predictions at a lead time of `days` is larger than that of the next day, at
+    /// least 1. `of_looks`: the variance of all bins.
     pub(super) fn growth(&self, days: i64, near: &Spread, of_looks: f64) -> f64 {
         let of_near = near.of_all(of_looks);
         let mut widest = of_near;

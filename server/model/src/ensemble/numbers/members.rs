@@ -1,7 +1,8 @@
-//! What the members of an ensemble of numbers say of the next day, and how they are weighted.
+//! The forecasts of the members of an ensemble of numbers for the next day, and the weights of the members.
 //!
-//! A member has its prior weight times exp(-L/2v), where L is its faded sum of squared errors over looks and v the
-//! least of their means, and one look in ten is independent of the others. Invariant: weights sum to 1.
+//! A member has its prior weight times exp(-L/2v), where L is its faded sum of squared errors over half-hour bins and v
+//! the least mean squared error of the members, and one bin in ten is independent of the others. Invariant: weights sum
+//! to 1.
 
 use super::super::forecast::civil_moment;
 use super::super::looks::{DayLooks, SLOT_NANOS, SLOTS};
@@ -14,16 +15,17 @@ use crate::{
     models::{Moment, TemporalModel},
 };
 
-/// The days before whose looks count.
+/// The residuals of the days this many days back are features.
 const DAYS_AGO: [i32; 4] = [1, 2, 7, 14];
-/// How many of the last looks of the day before tell how much higher it was.
+/// Number of the last bins of the day before whose mean residual is a feature.
 const LAST_LOOKS: usize = 2;
-/// In a day, this falls by so many factors of e.
+/// This mean residual falls by so many factors of e in a day.
 const FALL: f64 = 2.0;
-/// Features of the stacks: weekday table, tables that forget, chosen model, residuals of the days before, how much
-/// higher the end of the day before was, twice: for the whole day, and ever less.
+/// Features of the stacks: weekday table, tables that forget, chosen model, residuals of the days before, and twice the
+/// mean residual of the end of the day before: constant over the day, and falling.
 pub(super) const FEATURES: usize = 2 + RECENT + DAYS_AGO.len() + 2;
-/// Their weights before any look. What is left belongs to the table of weekdays and the weekend.
+/// The weights of the features before the first bin. The rest of the weight is that of the table of weekdays and the
+/// weekend.
 pub(super) const WEIGHTS: [f64; FEATURES] = [0.0, 0.2, 0.2, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 /// Members: mean, hour, kind, weekday, tables that forget, yesterday, chosen model, two stacks.
@@ -31,19 +33,19 @@ pub(super) const MEMBERS: usize = 8 + RECENT;
 pub(super) const PRIORS: [f64; MEMBERS] = [1.0, 0.5, 5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.5, 1.5];
 /// The share of the losses that remains after each further observed day.
 const KEPT: f64 = 0.97;
-/// How much a look's loss counts, in shares of the least.
+/// The weight of the loss of a bin, relative to the least loss.
 const RATE: f64 = 0.05;
 
-/// What the members say of a day by half-hour.
+/// The forecasts of the members for a day by half-hour.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DayMembers {
     pub(super) values: [[f64; SLOTS]; MEMBERS],
     pub(super) features: [[f64; FEATURES]; SLOTS],
-    /// What the features are relative to: the table of weekdays and the weekend.
+    /// The values that the features are relative to: the table of weekdays and the weekend.
     pub(super) base: [f64; SLOTS],
 }
 
-/// The losses of so many members.
+/// The losses of `N` members.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Pool<const N: usize> {
     pub(super) losses: [f64; N],
@@ -64,7 +66,7 @@ impl SeenDay {
         (self.seen >> slot & 1 == 1).then(|| self.values[slot])
     }
 
-    /// What was seen in a half-hour, or in the one before, or in the one after.
+    /// The value of a half-hour, or else of the one before, or else of the one after.
     fn value_near(&self, slot: usize) -> Option<f64> {
         let before = || self.value(slot.checked_sub(1)?);
         self.value(slot).or_else(before).or_else(|| self.value((slot + 1).min(SLOTS - 1)))
@@ -83,17 +85,17 @@ impl NumberEnsemble {
         self.tables.shapes(day.weekday()).kind.map(|value| level + value)
     }
 
-    /// What was seen so many days before a day, and the table of that day; `None` if it is forgotten.
+    /// The bins of the day that is `back` days before a day, and the table of that day; `None` if it is forgotten.
     fn before(&self, day: LocalDay, back: i32) -> Option<(&SeenDay, [f64; SLOTS])> {
         let day = LocalDay(day.0.saturating_sub(back));
         self.seen(day).map(|seen| (seen, self.base(day)))
     }
 
-    /// What the newest same weekday, and the newest day of the same fortnight, left over of a day that is so many days
-    /// ahead; 0 if that is forgotten.
+    /// The residuals of the newest learned day that is whole weeks before a day with a lead time of `ahead` days, and
+    /// of the newest one that is whole fortnights before it; 0 if that day is forgotten.
     pub(super) fn repeated(&self, day: LocalDay, ahead: i64) -> [[f64; SLOTS]; 2] {
         [7, 14].map(|days: i64| {
-            // Below four weeks; farther ahead nobody asks.
+            // Lead times here are below four weeks.
             let back = days * (ahead.clamp(1, 28) + days - 1).div_euclid(days);
             let before = self.before(day, back as i32);
             let mut left = [0.0; SLOTS];
@@ -102,7 +104,7 @@ impl NumberEnsemble {
         })
     }
 
-    /// What the members say of a day after a learned one.
+    /// The forecasts of the members for the day after a learned one.
     pub(super) fn members(&self, day: LocalDay, chosen: &dyn TemporalModel) -> DayMembers {
         let (shapes, levels) = (self.tables.shapes(day.weekday()), self.tables.levels());
         let base = shapes.kind.map(|value| levels[0] + value);
@@ -158,14 +160,14 @@ impl<const N: usize> Pool<N> {
         Pool { losses: [0.0; N], looks: 0.0 }
     }
 
-    /// The weights of the members, by those before any look. `dependence`: how many looks are one piece of evidence,
-    /// beside those of the next day.
+    /// The weights of the members, from those before the first bin. `dependence`: the evidence of a bin is divided by
+    /// this; 1 for the next day.
     pub(super) fn weights(&self, priors: [f64; N], dependence: f64) -> [f64; N] {
         let least = self.losses.iter().copied().fold(f64::INFINITY, f64::min);
         let mut logs = priors.map(libm::log);
         for (log, loss) in logs.iter_mut().zip(&self.losses) {
             let more = loss - least;
-            // Where one member was always right, it alone answers.
+            // Where one member was always right, it has all the weight.
             *log -= if more > 0.0 { RATE / dependence * self.looks * more / least } else { 0.0 };
         }
         normalised(logs)
@@ -184,7 +186,7 @@ impl<const N: usize> Pool<N> {
     }
 }
 
-/// The weighted sum of what members say.
+/// The weighted sum of the forecasts of members.
 pub(super) fn pooled<const N: usize>(values: &[[f64; SLOTS]; N], weights: [f64; N]) -> [f64; SLOTS] {
     let mut sums = [0.0; SLOTS];
     for (values, weight) in values.iter().zip(weights) {

@@ -1,4 +1,4 @@
-//! How far the hours of the next day were from their predictions.
+//! The squared distances of the hours of the next day from their predictions.
 //!
 //! Invariant: variances are finite and not negative.
 
@@ -10,9 +10,9 @@ use crate::{
 
 /// The share of the sums that remains after each further observed day.
 const KEPT: f64 = 0.985;
-/// How many hours the variance of all looks counts as, beside all hours of the day.
+/// The variance of all half-hour bins counts as this many hours, beside all hours of the day.
 const FIRST_HOURS: f64 = 24.0;
-/// How many days all hours together count as, beside one hour.
+/// All hours together count as this many days, beside one hour.
 const ALL_DAYS: f64 = 3.0;
 
 /// Sum of squared errors, and their number.
@@ -21,11 +21,11 @@ pub(super) type Squares = [f64; 2];
 /// Squared errors of the means of hours.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Spread {
-    /// Of weekdays, then of the weekend, by hour.
+    /// The sums of weekdays, then of the weekend, by hour.
     pub(super) hours: [[Squares; HOURS]; 2],
 }
 
-/// The hours of a day that were looked at, with the squared error of the mean of their looks.
+/// The hours of a day that have bins, with the squared error of the mean of these.
 pub(super) fn hour_errors<'a>(
     looks: &'a DayLooks,
     forecast: &'a [f64; SLOTS],
@@ -38,8 +38,8 @@ pub(super) fn hour_errors<'a>(
     })
 }
 
-/// The mean of squares, shrunk towards another as if that had been found so often: a geometric mean, so that a first
-/// guess that is far too wide is soon forgotten.
+/// The mean of squares, shrunk towards another mean that counts as `weight` squares. The two are combined as a
+/// geometric mean, so that a first guess that is far too wide is soon forgotten.
 pub(super) fn shrunk([sum, number]: Squares, towards: f64, weight: f64) -> f64 {
     let ratio = sum / number / towards;
     if ratio > 0.0 && ratio.is_finite() { towards * libm::pow(ratio, number / (number + weight)) } else { towards }
@@ -60,13 +60,13 @@ impl Spread {
         }
     }
 
-    /// Over all hours. `of_looks`: the variance of all looks.
+    /// The mean squared error over all hours. `of_looks`: the variance of all bins.
     pub(super) fn of_all(&self, of_looks: f64) -> f64 {
         let sum = |place: usize| self.hours.as_flattened().iter().map(|squares| squares[place]).sum::<f64>();
         shrunk([sum(0), sum(1)], of_looks, FIRST_HOURS)
     }
 
-    /// At a half-hour of a day, with what is not known of so few days.
+    /// The mean squared error at a half-hour of a day, widened because an estimate from few days is uncertain.
     pub(super) fn variance(&self, day: LocalDay, slot: usize, of_looks: f64) -> f64 {
         let squares = self.hours[kind_of_day(day.weekday())][slot / 2];
         shrunk(squares, self.of_all(of_looks), ALL_DAYS) * (1.0 + 1.0 / squares[1].max(1.0))

@@ -1,15 +1,15 @@
-//! A linear regression whose sums fade: weights that learn each night how much each member deserves.
+//! A linear regression whose sums fade: the weights of the members are learned each night.
 //!
 //! Recursive least squares on predictions that were made before their day was learned (T-RO section IV.B), with a ridge
-//! towards the weights before any look. The ridge is a number of looks that differ as the state's do, so the unit of
-//! the values does not matter. Invariant: weights are finite.
+//! towards the weights before the first half-hour bin. The ridge is a number of bins with the variance of the state, so
+//! the unit of the values does not matter. Invariant: weights are finite.
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-/// How many looks the weights before any look count as.
+/// The weights before the first bin count as this many bins.
 const RIDGE_LOOKS: f64 = 12.0;
 
-/// A regression on so many features.
+/// A regression on `N` features.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LinearStack<const N: usize> {
     /// The share of the sums that remains after each further observed day.
@@ -32,13 +32,14 @@ impl<const N: usize> LinearStack<N> {
         features.iter().zip(&self.weights).map(|(feature, weight)| feature * weight).sum()
     }
 
-    /// Learns the looks of a day from the features that were known before it. `variance`: of all looks.
+    /// Learns the bins of a day from the features that were computed before the day. `variance`: the variance of all
+    /// bins.
     pub(super) fn learn<'a>(&mut self, looks: impl Iterator<Item = (&'a [f64; N], f64)>, variance: f64) {
         self.learn_towards(looks, variance, self.at_first, 1.0);
     }
 
-    /// As [`LinearStack::learn`], towards other weights, and with a ridge so many times as strong, because looks depend
-    /// on each other.
+    /// Does the same as [`LinearStack::learn`], but towards other weights, and with a ridge that is `dependence` times
+    /// as strong, because bins depend on each other.
     pub(super) fn learn_towards<'a>(
         &mut self,
         looks: impl Iterator<Item = (&'a [f64; N], f64)>,
@@ -61,7 +62,7 @@ impl<const N: usize> LinearStack<N> {
             matrix[(row, row)] += ridge;
             vector[row] += ridge * towards[row];
         }
-        // With the ridge it is positive definite, unless all looks were the same: then the weights stay.
+        // With the ridge the matrix is positive definite, unless all bins were equal: then the weights stay.
         if let Some(factor) = Cholesky::new(matrix) {
             let solved = factor.solve(&vector);
             if solved.iter().all(|weight| weight.is_finite()) {

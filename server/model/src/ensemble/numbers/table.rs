@@ -1,19 +1,20 @@
-//! Means of looks by hour: of all history by hour of the week, and of the last days by hour of weekdays or the weekend.
+//! Means of half-hour bins by hour: of all history by hour of the week, and of the last days by hour of weekdays or the
+//! weekend.
 //!
-//! A table has levels, each shrunk towards the one before as if that were three looks: the mean, the hour of the day,
+//! A table has levels, each shrunk towards the one before, which counts as three bins: the mean, the hour of the day,
 //! the hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
 
 use super::super::looks::{DayLooks, SLOTS};
 use crate::hours_seen::{HOURS, kind_of_day};
 
-/// The days after which a look counts half in the tables that forget.
+/// The days after which a bin counts half in the tables that forget.
 pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];
 /// Number of tables that forget.
 pub(super) const RECENT: usize = 3;
-/// How many looks the coarser level counts as.
+/// The coarser level counts as this many bins.
 const COARSER_LOOKS: f64 = 3.0;
 
-/// Sums and numbers of looks by hour.
+/// Sums and numbers of bins by hour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cells {
     pub(super) sums: [f64; HOURS],
@@ -55,32 +56,33 @@ impl Cells {
     }
 }
 
-/// What the tables say of a weekday by half-hour, less the mean of each: how the day goes, not how high.
+/// The values of the tables on a weekday by half-hour, less the mean of each table: the shape of the day without its
+/// level.
 #[derive(Clone, Debug)]
 pub(super) struct Shapes {
-    /// By hour of the day, of all history.
+    /// The shape by hour of the day, of all history.
     pub(super) hour: [f64; SLOTS],
-    /// By hour of weekdays or the weekend, of all history.
+    /// The shape by hour of weekdays or the weekend, of all history.
     pub(super) kind: [f64; SLOTS],
-    /// By hour of the weekday.
+    /// The shape by hour of the weekday, of all history.
     pub(super) weekday: [f64; SLOTS],
-    /// Of the tables that forget, by hour of weekdays or the weekend.
+    /// The shapes of the tables that forget, by hour of weekdays or the weekend.
     pub(super) recent: [[f64; SLOTS]; RECENT],
 }
 
-/// The means of the tables: of all history, then of those that forget.
+/// The means of the tables: of the one of all history, then of those that forget.
 pub(super) type Levels = [f64; RECENT + 1];
 
 /// The tables of one state.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tables {
-    /// Of all history, by weekday from Monday.
+    /// The sums of all history, by weekday from Monday.
     pub(super) week: [Cells; 7],
-    /// Of those that forget: of weekdays, then of the weekend.
+    /// The sums of the tables that forget: of weekdays, then of the weekend.
     pub(super) recent: [[Cells; 2]; RECENT],
 }
 
-/// A value by hour as one by half-hour, with straight lines between the middles of hours.
+/// Values by hour as values by half-hour, with straight lines between the middles of hours. `less` is subtracted.
 fn by_half_hour(hours: &[f64; HOURS], less: f64) -> [f64; SLOTS] {
     let mut slots = [0.0; SLOTS];
     for (slot, value) in slots.iter_mut().enumerate() {
@@ -106,7 +108,7 @@ impl Tables {
         [together(&self.week).mean(), slow, middle, fast]
     }
 
-    /// How a weekday goes.
+    /// The shapes of a weekday.
     pub(super) fn shapes(&self, weekday: usize) -> Shapes {
         let kind = kind_of_day(weekday);
         let all = together(&self.week);
@@ -128,14 +130,15 @@ impl Tables {
         }
     }
 
-    /// Lets days without looks pass.
+    /// Ages the tables by days without bins.
     pub(super) fn pass(&mut self, days: f64) {
         for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
             kinds.iter_mut().for_each(|cells| cells.scale(libm::exp2(-days / half_life_days)));
         }
     }
 
-    /// Adds a day. `is_next`: it is newer than all before, which fade; else it is `age_days` older than the newest.
+    /// Adds a day. `is_next`: the day is newer than all learned days, which fade; else it is `age_days` older than the
+    /// newest.
     pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, is_next: bool, age_days: f64) {
         if is_next {
             self.pass(1.0);

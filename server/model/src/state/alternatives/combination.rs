@@ -1,9 +1,9 @@
-//! Several models that answer together, weighted by their past errors.
+//! The combination of several models, weighted by their past errors.
 //!
 //! A model has the weight (S_min / S)^n: S is its faded sum of errors, S_min the lowest, n the number of observed days,
-//! at least [`DAYS_MIN`]. So after few days similar models share the answer; from [`COMBINED_DAYS_MAX`] days on the
-//! best answers alone. The model in force has its advantage of hysteresis here too. Invariant: weights are above 0 and
-//! sum to 1, and the model in force has the highest one.
+//! at least [`DAYS_MIN`]. So after few days models with similar errors have similar weights; from [`COMBINED_DAYS_MAX`]
+//! days on the best model predicts alone. The model in force has its advantage of hysteresis here too. Invariant:
+//! weights are above 0 and sum to 1, and the model in force has the highest one.
 
 use super::{ActiveModel, Alternatives, CLEARLY_LOWER};
 use crate::{
@@ -15,9 +15,9 @@ use crate::{
 /// The exponent of the errors for a state with fewer days. Chosen on single weeks of one office door's training data
 /// and on simulated counts and temperatures.
 const DAYS_MIN: u32 = 8;
-/// Models answer together for fewer days than this. On the training data of the office door, with the error of the best
-/// member as 1, combined models had .984 after one week and 1.016 after two, where the winner alone had 1.123 and
-/// 1.032; after four weeks the winner alone had 1.018, and combined models 1.024.
+/// Models are combined while there are fewer days than this. On the training data of the office door, with the error of
+/// the best member as 1, combined models had .984 after one week and 1.016 after two, where the winner alone had 1.123
+/// and 1.032; after four weeks the winner alone had 1.018, and combined models 1.024.
 const COMBINED_DAYS_MAX: u32 = 28;
 /// A model with less than this share of the highest weight has none.
 const SHARE_MIN: f64 = 0.01;
@@ -37,7 +37,7 @@ impl TemporalModel for SpectralAtOrder<'_> {
     }
 }
 
-/// What an update has chosen, as one model: the spectral one answers at moments that a histogram cannot tell of.
+/// The choice of an update as one model: the spectral model predicts the moments that a histogram cannot predict.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChosenMember<'a> {
     pub(in crate::state) chosen: Option<ActiveModel<'a>>,
@@ -45,7 +45,7 @@ pub struct ChosenMember<'a> {
 }
 
 impl ChosenMember<'_> {
-    /// What an ensemble needs beside itself.
+    /// The models that an ensemble needs beside its own members.
     pub fn others(&self) -> OtherModels<'_> {
         let expects_year = self.spectral.periodicities.names_year();
         OtherModels { chosen: self, lasting: &self.spectral, expects_year }
@@ -61,7 +61,7 @@ impl TemporalModel for ChosenMember<'_> {
     }
 }
 
-/// The models that answer together.
+/// Several models in force, with their weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Combination<'a> {
     spectral: SpectralAtOrder<'a>,
@@ -77,7 +77,7 @@ impl Combination<'_> {
 
     /// The weighted sum of the predictions of the other models: add that of the spectral model times its weight.
     pub fn others_at(&self, at: Moment) -> f64 {
-        // A histogram without readings of that hour leaves it to the spectral model.
+        // Where a histogram has no readings of that hour, the spectral model predicts.
         let prediction =
             |model: &ActiveModel<'_>| if model.covers(at) { model.predict(at) } else { self.spectral.predict(at) };
         self.others.iter().map(|(model, weight)| weight * prediction(model)).sum()
@@ -93,7 +93,7 @@ impl TemporalModel for Combination<'_> {
 }
 
 impl Alternatives {
-    /// The weights of the models that answer, in the order of [`Alternatives::error_sums`]; they sum to 1.
+    /// The weights of the models in force, in the order of [`Alternatives::error_sums`]; they sum to 1.
     pub fn weights(&self) -> Vec<(ModelKind, f64)> {
         let in_force = self.parts.choice;
         let handicap = |choice: ModelKind| if choice == in_force { CLEARLY_LOWER } else { 1.0 };
@@ -113,7 +113,7 @@ impl Alternatives {
         weights
     }
 
-    /// What answers; `None` if the spectral model does so alone.
+    /// The models in force; `None` if it is the spectral model alone.
     pub(in crate::state) fn chosen<'a>(&'a self, spectral: SpectralAtOrder<'a>) -> Option<ActiveModel<'a>> {
         let weights = self.weights();
         if let [(choice, _)] = weights.as_slice() {
@@ -125,7 +125,7 @@ impl Alternatives {
         Some(ActiveModel::Combination(Combination { spectral, spectral_weight, others }))
     }
 
-    /// The model that a choice stands for; `None` for the spectral one.
+    /// The model of a kind; `None` for the spectral one.
     fn member(&self, choice: ModelKind) -> Option<ActiveModel<'_>> {
         let trained = || self.trained(choice).map(|(model, _)| ActiveModel::Trained(model));
         self.histogram(choice).map(ActiveModel::Histogram).or_else(trained)

@@ -1,7 +1,7 @@
 //! The errors of all histograms on a day, in one pass.
 //!
-//! Invariant: the squared errors are those of the histograms that [`Alternatives::histogram`] makes, though none is
-//! made: an hour costs one prediction of each, whatever the number of readings.
+//! Invariant: the squared errors are those of the histograms that [`Alternatives::histogram`] builds, but no histogram
+//! is built: an hour costs one prediction of each, whatever the number of readings.
 
 use super::{Alternatives, DayError, HISTOGRAMS, by_criterion, squared};
 use crate::{Sample, models::hour_runs, order::OrderCriterion};
@@ -10,12 +10,12 @@ use crate::{Sample, models::hour_runs, order::OrderCriterion};
 mod tests;
 
 impl Alternatives {
-    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before. `spectral_of`
-    /// predicts in hours for which neither a histogram nor a coarser one has readings.
+    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where there are no earlier readings.
+    /// `spectral_of` predicts in hours for which neither a histogram nor a coarser one has readings.
     ///
-    /// The errors by which models are compared take the mean of all for an hour without readings of the histogram's
-    /// own: it must not win by what a coarser one knows. After a first week that of the week would have the errors of
-    /// that of weekday and weekend.
+    /// For an hour without readings of the histogram itself, the errors by which models are compared use the mean of
+    /// all readings: a histogram must not win by the values of a coarser one. Otherwise, after the first week, the
+    /// weekly histogram would have the errors of the histogram of weekday and weekend.
     pub(super) fn score_histograms(
         &self,
         criterion: OrderCriterion,

@@ -12,7 +12,7 @@ use crate::{
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
 
-/// What [`Alternatives`] consist of, for storage.
+/// The parts of [`Alternatives`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlternativesParts {
     /// The readings by hour of the week.
@@ -35,7 +35,7 @@ pub struct AlternativesParts {
     pub changes: f64,
     /// Number of components of the spectral model that noise would not show.
     pub supported: u8,
-    /// What the choice of orders has gained.
+    /// The gains of the choice of orders.
     pub gains: OrderGainsParts,
     /// Local days learned, without late ones.
     pub days: u32,
@@ -94,7 +94,7 @@ impl Alternatives {
     /// The alternatives of a state of the given kind from stored parts.
     ///
     /// # Errors
-    /// As [`Alternatives::from_parts`].
+    /// [`InvalidParts`], as [`Alternatives::from_parts`] returns it.
     pub fn from_parts_of(kind: StateKind, parts: AlternativesParts) -> Result<Alternatives, InvalidParts> {
         let (spectral, histograms) = match *parts.error_sums.as_slice() {
             [spectral] => (spectral, None),

@@ -1,4 +1,4 @@
-//! When the calibrated model is trained again, what it is scored on, and when it is chosen.
+//! Tests when the calibrated model is trained again, on which days it is scored, and when it is chosen.
 
 use super::*;
 use crate::{
@@ -7,12 +7,12 @@ use crate::{
 };
 
 const CALIBRATED: ModelKind = ModelKind::Calibrated;
-/// Of a day's errors, after another observed day.
+/// The weight of the errors of a day, after another observed day.
 const KEPT_PER_DAY: f64 = 0.93;
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
 
-/// Every ten minutes of some days from `from_day`, by a function of day and slot of the day.
+/// Samples every ten minutes of some days, by a function of day and slot of the day.
 fn samples(days: std::ops::Range<i64>, value: impl Fn(i64, i64) -> f64) -> Vec<Sample> {
     let slots = days.start * SLOTS..days.end * SLOTS;
     slots
@@ -31,7 +31,7 @@ fn noise(seed: i64) -> f64 {
     (mixed >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Open by day on weekdays, opened and closed a little earlier or later each day.
+/// An office that is open by day on weekdays, and is opened and closed a little earlier or later each day.
 fn office(day: i64, slot: i64) -> f64 {
     let opened = 48 + (12.0 * noise(day)) as i64;
     let closed = 102 + (12.0 * noise(day + 1_000)) as i64;
@@ -80,7 +80,7 @@ fn a_training_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_
     assert_eq!(due(&state), [true, true]);
     state = state.with_trained(train(&samples(0..15, office)), LocalDay(14));
     assert!(!state.is_training_due(ModelKind::Calibrated));
-    // From here on the calendar counts.
+    // From the first training after seven observed days on, calendar days count.
     learn(&mut state, samples(20..21, office));
     assert!(!state.is_training_due(ModelKind::Calibrated), "six days after");
     learn(&mut state, samples(21..22, office));
@@ -121,7 +121,7 @@ fn a_day_is_scored_by_the_model_before_it() {
     let day = samples(14..15, office);
     learn(&mut state, day.clone());
     let after = calibrated_error(&state).unwrap();
-    // It begins with the error of the model in force.
+    // The sum begins with the error of the model in force.
     let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
     // Another model, two days without observations, which do not count, and a day.
@@ -146,7 +146,7 @@ fn it_begins_with_the_sum_of_the_spectral_model_where_that_is_in_force() {
     let day = samples(14..15, chance);
     learn(&mut state, day.clone());
     let expected = before * KEPT_PER_DAY + squared_error(&model, &day);
-    // The order that is best may be another after the day, and has another sum.
+    // Another order may be best after the day, and it has another sum.
     let after = calibrated_error(&state).unwrap();
     assert!((after - expected).abs() < 0.05 * expected, "{after}, expected {expected}");
 }
@@ -172,7 +172,7 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
     }
 }
 
-/// The rules by which the chosen model answers.
+/// The rules with which the chosen model predicts.
 fn without_ensemble() -> UpdateRules {
     UpdateRules { models: EnabledModels::default().without_ensemble(), ..UpdateRules::default() }
 }

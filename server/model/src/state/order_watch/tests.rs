@@ -1,4 +1,4 @@
-//! What `order_watch.rs` promises.
+//! The promises of `order_watch.rs`.
 
 use super::*;
 
@@ -32,7 +32,7 @@ fn components_beyond_what_noise_shows_are_supported() {
         remembered: 1.0,
     };
     let mut watch = OrderWatch::of_constant(None);
-    // Half of the pairs change: as noise does.
+    // Half of the pairs change, as in noise.
     watch.learn(500, 500.0 / 3000.0, Some(true));
     watch.support(&model, &week, readings);
     assert_eq!(watch.supported_order(), 1);

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::models::TemporalModel as _;
 
-/// What the spectral model predicts.
+/// The prediction of the spectral model.
 const SPECTRAL: f64 = 0.4;
 const SEC: i64 = 1_000_000_000;
 
