@@ -43,7 +43,7 @@ pub(crate) trait EightLanes {
     /// What the computation returns.
     type Output;
 
-    /// Runs it with `V` vectors of eight numbers together.
+    /// Runs the computation with `V` vectors that have eight numbers together.
     fn run<S: Simd, const V: usize>(self, simd: S) -> Self::Output;
 }
 

@@ -52,7 +52,7 @@ impl PhasorSum {
         Ok(PhasorSum { parts: parts.into() })
     }
 
-    /// All K real parts, then all K imaginary parts (sums of -sin); what to store.
+    /// All K real parts, then all K imaginary parts (sums of -sin), for storage.
     pub fn as_slice(&self) -> &[f64] {
         &self.parts
     }

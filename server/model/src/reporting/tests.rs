@@ -1,4 +1,4 @@
-//! What rows of changes and events stand for, against a naive reading off at each instant.
+//! Tests the readings that rows of changes and events represent, against a naive oracle at each instant.
 
 use proptest::prelude::*;
 
@@ -27,7 +27,7 @@ fn a_stated_hold_is_never_lengthened() {
     let said = |max, step| StatedReporting::new(RowKind::Changes, max, step);
     let found = |max, step| said(max, step).map(StatedReporting::for_new);
     assert_eq!(found(None, None), Ok(Reporting::Changes(Hold::OF_CHANGES)));
-    // Values that hold for less than the usual step are learned as often as they hold.
+    // Values that hold for less than the default step are learned as often as they hold.
     assert_eq!(found(Some(60), None), Ok(changes(60, 60)));
     assert!(said(Some(60), None).is_ok_and(|said| said.fits(said.for_new())));
     assert_eq!(found(Some(60), Some(300)), Err(InvalidHold::Max { max_secs: 60, step_secs: 300 }.into()));
@@ -151,7 +151,7 @@ proptest! {
     ) {
         let hold = Hold::new(step + more, step).expect("valid");
         let reporting = if is_change { Reporting::Changes(hold) } else { Reporting::Events(hold) };
-        // The second rows are later than all that the first let be known.
+        // The second rows are later than the horizon of the first.
         let later = horizon.max(5_000) * S;
         let second: Vec<Row> = second.into_iter().map(|(nanos, value)| (nanos + later, value)).collect();
         let (readings, after) = LearnedRows::default().learn(reporting, first.clone(), horizon * S);
