@@ -146,9 +146,8 @@ impl PoissonSpectral {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
-            // |γ| is at most twice the mean of the counts, and this mean at most twice the posterior's. The limit leaves room
-            // for rounding.
-            // rounding.
+            // |γ| is at most twice the mean of the counts, and this mean at most twice the posterior's. The limit leaves
+            // room for rounding.
             let max_amplitude = 4.0 * parts.mean + 1.0;
             InvalidParts::check(
                 "component index",

@@ -77,7 +77,8 @@ fn a_table_of_hours_gives_the_same_moments() {
     assert_eq!((from_spread.days, from_spread.sum), (from_days.days, from_days.sum));
 }
 
-/// Probability of less than x under a Beta distribution of whole α and β: that of α or more successes of α + β - 1.
+/// Probability of less than x under a Beta distribution of whole α and β: the probability of α or more successes in α +
+/// β - 1 trials.
 fn binomial_tail(alpha: u32, beta: u32, x: f64) -> f64 {
     let tries = alpha + beta - 1;
     let mut choose = 1.0;
