@@ -1,4 +1,4 @@
-//! How uncertain a prediction is.
+//! The uncertainty of a prediction.
 //!
 //! Information is in bits throughout. Invariant: no result is NaN or negative.
 

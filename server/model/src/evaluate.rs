@@ -1,4 +1,4 @@
-//! How well a model predicts given observations, at each order.
+//! The errors of a model's predictions of given observations, at each order.
 //!
 //! Invariant: evaluating changes nothing; every observation counts once.
 

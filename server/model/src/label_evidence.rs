@@ -17,7 +17,7 @@ pub const PRIOR_MIN: f64 = 0.001;
 /// The allowed number of labels.
 pub const LABELS: RangeInclusive<usize> = 2..=64;
 
-/// Why evidence was refused.
+/// The reason why evidence was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidEvidence {
@@ -45,7 +45,7 @@ pub struct LabelEvidence<'a> {
     pub likelihoods: &'a [f64],
     /// For each label, its probability at the time, as temporal models predict it. They need not sum to 1.
     pub temporal: &'a [f64],
-    /// For each label, the probability of being at this place while it holds; none where the place is not known.
+    /// For each label, the probability of being at this place while it holds; `None` if the place is not known.
     pub spatial: Option<&'a [f64]>,
 }
 
@@ -118,7 +118,7 @@ fn check(
     }
 }
 
-/// Where each label was observed, and how often.
+/// The number of observations of each label at each place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LabelPlaces {
     /// The number of observations by place, then by label.

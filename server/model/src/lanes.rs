@@ -40,7 +40,7 @@ impl<S: Simd, const V: usize> Eight<S, V> {
 
 /// A computation on eight lanes.
 pub(crate) trait EightLanes {
-    /// What the computation returns.
+    /// The result of the computation.
     type Output;
 
     /// Runs the computation with `V` vectors that have eight numbers together.

@@ -21,7 +21,7 @@ pub(crate) fn kept(last: LocalDay, day: LocalDay) -> f64 {
 /// A lower order is preferred if its error exceeds the lowest by at most this factor.
 const NEAR_TIE: f64 = 1.001;
 
-/// Which error of a prediction counts when the order is chosen.
+/// The error of a prediction that counts when the order is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum OrderCriterion {
     /// Squared difference of prediction and value.

@@ -24,7 +24,7 @@ const DAY_NANOS: u64 = 86_400 * NANOS_PER_SEC as u64;
 /// readings at the same time of each day, within up to two and a half hours.
 const IN_PHASE: f64 = 0.98;
 
-/// How candidate periodicities are defined.
+/// The definition of candidate periodicities.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeriodicityDefinition {
     /// The periods are base/1, base/2, … base/count; T-RO section III.C.

@@ -35,7 +35,7 @@ const READINGS_PER_ROW: u32 = 1_000_000;
 /// then on.
 pub type Row = (i64, Option<f64>);
 
-/// How the rows of a state come about. It is fixed when the state is created.
+/// The origin of the rows of a state. It is fixed when the state is created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Reporting {
     /// Each row is a reading of the state at that time.

@@ -63,9 +63,9 @@ impl ChangeAlarm {
     /// whether the alarm rings.
     ///
     /// The error is that of a state in `[0,1]`; for others the caller divides it by the variance of the values first.
-    /// Its root is compared with the history of days of that kind, weekdays or weekend, so that weekends that are
-    /// easier to predict are not a change; both kinds use the larger of their standard deviations. A day with fewer
-    /// observations than usual counts less. The first 14 days cannot ring. A day changes nothing if it has no
+    /// The root of the error is compared with the history of days of that kind, weekdays or weekend, so that weekends
+    /// that are easier to predict are not a change; both kinds use the larger of their standard deviations. A day with
+    /// fewer observations than usual counts less. The first 14 days cannot ring. A day changes nothing if it has no
     /// observations, is not after the last one, or has an error that is negative or not finite.
     pub fn observe(&mut self, day: LocalDay, mse: f64, observations: u64) -> bool {
         let is_new = self.parts.last_day.is_none_or(|last_day| day > last_day);

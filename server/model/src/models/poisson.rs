@@ -54,8 +54,8 @@ pub struct PoissonSpectralParts {
 }
 
 impl PoissonSpectral {
-    /// Trains on counts: the values of all readings in a bin are added up, a bin without a reading counts as unobserved
-    /// (so a counter that saw nobody must report 0). Bins are of local civil time, from 1970.
+    /// Trains on counts. The values of all readings in a bin are added up; a bin without a reading counts as unobserved
+    /// (so a counter that detects nobody must report 0). Bins are of local civil time, from 1970.
     ///
     /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a
     /// small positive rate. The rate is at least ½/(1 + days), the rate of a time of day without any count, but this
@@ -146,8 +146,8 @@ impl PoissonSpectral {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
-            // |γ| is at most twice the mean of the counts, and this mean at most twice the posterior's. The limit leaves
-            // room for rounding.
+            // The magnitude of γ is at most twice the mean of the counts, and this mean at most twice the posterior's.
+            // The limit leaves room for rounding.
             let max_amplitude = 4.0 * parts.mean + 1.0;
             InvalidParts::check(
                 "component index",

@@ -1,6 +1,7 @@
 //! The cycle of a histogram, and the bin of a local civil time.
 //!
-//! Bins are found in integer nanoseconds. Invariant: every time has a bin, and bins differ in length by at most 1 ns.
+//! Bins are computed in integer nanoseconds. Invariant: every time has a bin, and bins differ in length by at most 1
+//! ns.
 
 use crate::civil::NANOS_PER_SEC;
 

@@ -41,7 +41,7 @@ impl Residuals {
         }
     }
 
-    /// These residuals, with errors taken in slots of this length.
+    /// Makes residuals whose errors are computed in slots of this length.
     pub(super) fn in_slots_of(self, coarseness_nanos: i64) -> Residuals {
         Residuals { coarseness_nanos, ..self }
     }

@@ -137,7 +137,7 @@ impl Beta {
             Node { x, x_slope: x * y, density, density_slope: density * (alpha * y - beta * x) }
         };
         let mut from = node(0);
-        // ∫ x^(α-1) (1 - x)^(β-1) from 0 to x0 is nearly x0^α (1 - x0)^β / α, and alike at the other end.
+        // ∫ x^(α-1) (1 - x)^(β-1) from 0 to x0 is nearly x0^α (1 - x0)^β / α; the other end is symmetric.
         let mut sum = from.density / alpha;
         let (mut places, mut below) = ([from.x; POINTS], [sum; POINTS]);
         for i in 0..STEPS {

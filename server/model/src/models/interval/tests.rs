@@ -152,7 +152,7 @@ proptest! {
         let found = beta.shortest_around(p, level, 0.01);
         let up_to = |x: f64| if x >= 1.0 { 1.0 } else if x <= 0.0 { 0.0 } else { beta.mass_below(x) };
         prop_assert!(up_to(found.upper) - up_to(found.lower) >= level - 1e-9);
-        // A naive search over lower ends finds none that is shorter by more than its own step.
+        // A naive search over lower ends returns no interval that is shorter by more than its own step.
         for step in 0..200 {
             let lower = f64::from(step) / 200.0;
             let upper = lower + found.width() - 0.02;

@@ -60,7 +60,7 @@ impl Presence {
         }
     }
 
-    /// By slot of the day, then by place before and place after: the expected number of such changes, staying included
+    /// The expected number of changes by slot of the day, then by place before and place after, staying included
     /// (forward-backward algorithm).
     pub(super) fn expected_changes(&self) -> Vec<f64> {
         let places = self.options.places;
