@@ -1,9 +1,9 @@
 //! The information value of an observation of a state.
 //!
-//! An observation has two possible gains. RA-L's gain is the certainty about the state afterwards: max(0, H(p) -
-//! H(p_c)), where p_c is the certainty of an observation (RA-L 2016, eq. 3). For a state as random as a coin, it is
-//! equal at every observation. Learning is the mutual information of the observation and the habit q ~ Beta(vν, (1 -
-//! v)ν), where v is the predicted probability and ν the number of half-hour bins that support it:
+//! An observation has two possible gains. RA-L's gain is the reduced uncertainty about the state itself:
+//! max(0, H(p) - H(p_c)), where p_c is the certainty of an observation (RA-L 2016, eq. 3). For a state as random as a
+//! coin, it is equal at every observation. Learning is the mutual information of the observation and the habit
+//! q ~ Beta(vν, (1 - v)ν), where v is the predicted probability and ν the number of half-hour bins that support it:
 //!
 //! > H(v) - E\[H(q)\] = H(v) - (ψ(ν + 1) - v ψ(vν + 1) - (1 - v) ψ((1 - v)ν + 1)) / ln 2,
 //!

@@ -14,8 +14,8 @@ pub struct CalibratedOptions {
     /// Standard deviation of the Gaussian that smooths the broad daily profile, in seconds, 0 to 86,400. The time of
     /// day is shrunk towards that profile if there is little data.
     pub broad_smoothing_secs: f64,
-    /// The time in days, above 0, with which days lose weight: a day that is `a` days older than the newest counts 1/(1
-    /// + a/memory). Infinite: all have equal weight.
+    /// The time in days, above 0, with which days lose weight: a day that is `a` days older than the newest counts
+    /// 1/(1 + a/memory). Infinite: all have equal weight.
     pub memory_days: f64,
     /// The factor above 0 by which a tier is shrunk more towards the one before than by the credibility formula; 1 is
     /// Bühlmann's formula. More than 1 allows for routines that do not last.

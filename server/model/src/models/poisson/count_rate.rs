@@ -30,7 +30,7 @@ impl CountRate {
     /// Trains on the counts of single readings.
     ///
     /// # Errors
-    /// The errors of [`PoissonSpectral::train`].
+    /// [`CannotTrain`] in the cases of [`PoissonSpectral::train`].
     pub fn train(readings: Readings<'_>, periodicities: &Periodicities) -> Result<CountRate, CannotTrain> {
         CountRate::train_in_bins(readings, periodicities, COUNT_BIN_NANOS)
     }
