@@ -2,7 +2,7 @@
 //! information.
 //!
 //! p is the probability by the state's habits. Its uncertainty follows from the number ν of half-hour bins that support
-//! it: p ~ Beta(vν, (1 - v)ν). M is the mean of the state over an hour; an interval is an interval of M. The number of
+//! it: p ~ Beta(vν, (1 - v)ν). M is the mean of the state over an hour; an interval refers to M. The number of
 //! the hour's twelve readings that are 1 has a beta-binomial distribution with the mean v and the dependence of the
 //! state's readings. The means 0 and 1 have a probability of their own, so the mass of an interval may be above the
 //! level. Invariant: the value lies strictly between 0 and 1; entropy and information are not negative; an interval

@@ -21,8 +21,8 @@ mod tests;
 
 /// Maximum number of runs of a state.
 pub const RUNS_MAX: usize = 64;
-/// The least certainty of a model about the contrary for an observation to be kept, or the least tail distance of a
-/// value.
+/// The least certainty of a model about the contrary for an observation to be kept; for other values than
+/// probabilities, the confidence of the interval outside of which the value must lie.
 pub const KEPT_CONFIDENCE: f64 = 0.9;
 /// Length of a half-hour bin, whose observations count once, in nanoseconds.
 const LOOK_NANOS: i64 = 1_800_000_000_000;
