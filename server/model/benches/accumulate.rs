@@ -1,4 +1,4 @@
-//! Adding observations to one state, against the loop of the published method.
+//! Benchmark of adding observations to one state, against the loop of the published method.
 //!
 //! `cargo bench -p tidemap-model --bench accumulate`; all times are distinct and irregular.
 

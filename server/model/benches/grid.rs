@@ -1,4 +1,4 @@
-//! Cells of an occupancy grid: sums over runs, training, scoring a day, predicting a map.
+//! Benchmark of the cells of an occupancy grid: sums over runs, training, scoring a day, predicting a map.
 //!
 //! `cargo bench -p tidemap-model --bench grid`; times are distinct and irregular, 168 periodicities.
 
@@ -11,7 +11,7 @@ use tidemap_model::{
 };
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
-/// Times of a chunk, and chunks of a day of 17,200 scans.
+/// Number of times of a chunk, and of chunks of a day of 17,200 scans.
 const TIMES: usize = 512;
 const CHUNKS: i64 = 34;
 const CELLS: u32 = 1_000;

@@ -1,4 +1,4 @@
-//! Predicting many states at many times over shared phasors, against a cosine per component.
+//! Benchmark of predicting many states at many times over shared phasors, against a cosine per component.
 //!
 //! `cargo bench -p tidemap-model --bench predict`
 

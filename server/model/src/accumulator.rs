@@ -28,11 +28,11 @@ const WEIGHT_MIN: f64 = 1e-9;
 pub struct Accumulator {
     kind: StateKind,
     parts: AccumulatorParts,
-    /// The spectrum of a packed accumulator whose readings are not known.
+    /// The spectrum of a packed accumulator whose readings are not stored.
     cell: Option<SpectrumCell>,
 }
 
-/// What an [`Accumulator`] consists of, for storage.
+/// The parts of an [`Accumulator`], for storage.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct AccumulatorParts {
     /// Number of observations n.
@@ -47,9 +47,9 @@ pub struct AccumulatorParts {
     pub first_nanos: i64,
     /// Last observation, UTC in nanoseconds since 1970; 0 where n = 0.
     pub last_nanos: i64,
-    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty where n = 0 or the readings are known.
+    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty where n = 0 or the readings are stored.
     pub spectrum: Vec<[f64; 4]>,
-    /// All readings, where they are few: the spectrum follows from them.
+    /// All readings, if there are few of them. The spectrum is computed from them.
     pub short: Option<ShortRecord>,
 }
 
@@ -64,7 +64,7 @@ impl Accumulator {
         Accumulator { kind, parts: AccumulatorParts::default(), cell: None }
     }
 
-    /// What the values mean.
+    /// The meaning of the values.
     pub fn kind(&self) -> StateKind {
         self.kind
     }
@@ -155,10 +155,10 @@ impl Accumulator {
         }
     }
 
-    /// Puts the spectrum back in place, as before [`Accumulator::pack`].
+    /// Restores the spectrum to its state before [`Accumulator::pack`].
     ///
     /// # Errors
-    /// Why it cannot be read; nothing has changed then.
+    /// Returns the reason if the spectrum cannot be read. The accumulator is then unchanged.
     pub(crate) fn unpack(&mut self, periodicities: &Periodicities) -> Result<(), String> {
         self.unpack_short(periodicities);
         if let Some(cell) = &self.cell {
@@ -176,12 +176,12 @@ impl Accumulator {
         }
     }
 
-    /// Where the spectrum is held; `None` if it follows from the readings, or there is none.
+    /// The place where the spectrum is stored; `None` if it is computed from the readings, or there is none.
     pub fn cell(&self) -> Option<&SpectrumCell> {
         self.cell.as_ref()
     }
 
-    /// The spectrum, read or computed if it is not in place; empty if it cannot be read.
+    /// The spectrum. It is read or computed if it is not in memory, and is empty if it cannot be read.
     pub(crate) fn unpacked_spectrum(&self, periodicities: &Periodicities) -> Cow<'_, [[f64; 4]]> {
         match (&self.cell, &self.parts.short) {
             (Some(cell), _) => Cow::Owned(cell.read().unwrap_or_default()),
@@ -190,8 +190,8 @@ impl Accumulator {
         }
     }
 
-    /// Forgetting: multiplies the weight of all data learned so far by `factor`, above 0 and at most 1. Number and span
-    /// of the observations stay. The spectrum must be there.
+    /// Multiplies the weight of all data learned so far by `factor`, above 0 and at most 1 (forgetting). The number and
+    /// the span of the observations do not change. The spectrum must be in memory.
     pub(crate) fn fade(&mut self, factor: f64) {
         let parts = &mut self.parts;
         // A weight of 0 could not be divided by.
@@ -207,7 +207,7 @@ impl Accumulator {
         }
     }
 
-    /// Adds the sums of another accumulator. Both spectra must be there.
+    /// Adds the sums of another accumulator. Both spectra must be in memory.
     pub(crate) fn merge(&mut self, other: &Accumulator) {
         if self.parts.observations == 0 {
             self.parts = other.parts.clone();
@@ -232,7 +232,7 @@ impl Accumulator {
     /// The parts to store.
     ///
     /// # Errors
-    /// Why the spectrum cannot be read.
+    /// Returns the reason if the spectrum cannot be read.
     pub fn stored_parts(&self) -> Result<AccumulatorParts, String> {
         let spectrum = match &self.cell {
             Some(cell) => cell.read()?,
@@ -247,7 +247,7 @@ impl Accumulator {
         self.stored_parts().unwrap_or_else(|_| self.published().parts)
     }
 
-    /// The parts with the spectrum, also where the readings are known.
+    /// The parts with the spectrum, even if the readings are stored.
     pub fn to_summed_parts(&self, periodicities: &Periodicities) -> AccumulatorParts {
         let spectrum = self.unpacked_spectrum(periodicities).into_owned();
         AccumulatorParts { spectrum, ..self.published().parts }
@@ -264,7 +264,7 @@ impl Accumulator {
     /// The accumulator of a state of the given kind from stored parts.
     ///
     /// # Errors
-    /// As [`Accumulator::from_parts`].
+    /// Returns the same errors as [`Accumulator::from_parts`].
     pub fn from_parts_of(
         kind: StateKind,
         periodicities: &Periodicities,
@@ -275,7 +275,8 @@ impl Accumulator {
         Accumulator::checked(kind, expected, parts)
     }
 
-    /// An accumulator without its spectrum, as readers have it ([`crate::StateModel::published`]), from stored parts.
+    /// An accumulator from stored parts, without its spectrum: the form that readers have
+    /// ([`crate::StateModel::published`]).
     ///
     /// # Errors
     /// [`InvalidParts`] where there is a spectrum or a number is outside its range.
@@ -283,7 +284,7 @@ impl Accumulator {
         Accumulator::checked(kind, 0, parts)
     }
 
-    /// A copy without the spectrum and the readings, from which only an update computes anything.
+    /// A copy without the spectrum and the readings, which only an update needs.
     pub(crate) fn published(&self) -> Accumulator {
         let AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, .. } = self.parts;
         let (spectrum, short) = (Vec::new(), None);
@@ -301,7 +302,7 @@ impl Accumulator {
         if first_nanos > last_nanos {
             return Err(InvalidParts::TimesReversed { first_nanos, last_nanos });
         }
-        // Room for the rounding of long sums.
+        // The limit leaves room for the rounding of long sums.
         let highest = parts.weight * (1.0 + 1e-9);
         let lowest = if parts.observations == 0 { 0.0 } else { f64::MIN_POSITIVE };
         InvalidParts::check("weight", parts.weight, lowest..=parts.observations as f64)?;
@@ -331,8 +332,8 @@ fn spectrum_of(short: &ShortRecord, periodicities: &Periodicities) -> Vec<[f64; 
 }
 
 impl PartialEq for Accumulator {
-    /// Whether the sums are equal, wherever they are held; those that follow from readings are equal if the readings
-    /// are.
+    /// Whether the sums are equal, wherever they are stored. Sums that are computed from readings are equal if the
+    /// readings are equal.
     fn eq(&self, other: &Accumulator) -> bool {
         let is_stored_alike = || match (self.stored_parts(), other.stored_parts()) {
             (Ok(one), Ok(other)) => one == other,

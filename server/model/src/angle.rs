@@ -2,7 +2,7 @@
 //!
 //! An angle is learned as its cosine and its sine, two continuous values, and predicted as the direction of the two
 //! predictions: the mean of 350° and 10° is 0°, not 180° (K. V. Mardia and P. E. Jupp, "Directional Statistics", 2000,
-//! section 2.2). Invariant: an angle that is given out lies in [−π, π).
+//! section 2.2). Invariant: every angle that this module returns lies in [−π, π).
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,7 +13,7 @@ pub const ANGLE_AXES: [&str; 2] = ["cos", "sin"];
 /// because they would mostly be degrees.
 pub const ANGLE_MAX_RAD: f64 = TAU;
 
-/// What an observed angle has to be, for a message that ends "… is not".
+/// The requirement for an observed angle, for a message that ends "… is not".
 pub const ANGLE_EXPECTED: &str = "an angle in radians, from -2π to 2π";
 
 /// Whether an observed angle may have this value; never NaN or infinite.
@@ -30,14 +30,15 @@ pub fn cos_sin(angle_rad: f64) -> [f64; 2] {
 /// The direction of a cosine and a sine, of any length, in [−π, π); 0 where both are 0.
 pub fn direction_rad([cos, sin]: [f64; 2]) -> f64 {
     let direction = libm::atan2(sin, cos);
-    // atan2 ends at +π.
+    // The result of atan2 may be +π.
     let direction = if direction < PI { direction } else { -PI };
     debug_assert!((-PI..PI).contains(&direction), "{direction} rad");
     direction
 }
 
-/// How far an angle may be from the direction of a cosine and a sine, radians, that may be off by these deviations: to
-/// first order, across the direction. At most π, which is the whole circle; so is what has no direction.
+/// The greatest distance of an angle from the direction of a cosine and a sine, radians, if the two may be off by these
+/// deviations (to first order, across the direction). The result is at most π, which is the whole circle; it is π if
+/// there is no direction.
 pub fn deviation_of_direction_rad([cos, sin]: [f64; 2], [off_cos, off_sin]: [f64; 2]) -> f64 {
     let length = libm::hypot(cos, sin);
     let across = libm::hypot(sin * off_cos, cos * off_sin) / length;
@@ -76,7 +77,7 @@ mod tests {
     fn equal_angles_do_not_deviate_and_opposite_ones_are_anywhere() {
         assert_eq!(circular_deviation_rad([0.6, 0.8]), 0.0);
         assert_eq!(circular_deviation_rad([0.0, 0.0]), PI);
-        // Of a narrow distribution it is the usual standard deviation.
+        // The circular deviation of a narrow distribution is the usual standard deviation.
         let both = cos_sin(0.1);
         assert!((circular_deviation_rad([both[0], 0.0]) - 0.1).abs() < 1e-3);
     }

@@ -74,18 +74,18 @@ pub struct UnknownZone {
     pub name: String,
 }
 
-/// When a civil time is: nanoseconds UTC.
+/// The instants of a civil time: nanoseconds UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LocalInstant {
-    /// At this instant.
+    /// The civil time occurs once, at this instant.
     Once(i64),
-    /// At both of these, because clocks were set back between them.
+    /// The civil time occurs twice, because clocks were set back between the two instants.
     Twice(i64, i64),
-    /// Never, because clocks were set forward over it.
+    /// The civil time does not occur, because clocks were set forward over it.
     Never,
 }
 
-/// An IANA time zone; equal where the names are.
+/// An IANA time zone; two zones are equal if their names are equal.
 #[derive(Clone)]
 pub struct Zone {
     name: String,
@@ -112,7 +112,7 @@ impl Zone {
         Zone { name: "UTC".to_owned(), rules: TimeZone::UTC }
     }
 
-    /// The IANA name, spelled as the database does.
+    /// The IANA name in the spelling of the database.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -122,8 +122,8 @@ impl Zone {
         self.rules.to_offset(timestamp(utc_nanos)).seconds()
     }
 
-    /// When a civil time of the zone is, such as `2025-03-30T02:30` or `2025-03-30 02:30:00`; a date alone is its
-    /// midnight. `None`: the text is none, or it is before 1970 or after 2262.
+    /// The instants of a civil time of the zone, such as `2025-03-30T02:30` or `2025-03-30 02:30:00`; a date alone
+    /// means its midnight. `None` if the text is not a civil time, or the time is before 1970 or after 2262.
     pub fn local_instant(&self, text: &str) -> Option<LocalInstant> {
         let date = || text.parse::<jiff::civil::Date>().ok().map(|date| date.to_datetime(Time::midnight()));
         let civil = text.parse::<jiff::civil::DateTime>().ok().or_else(date)?;
@@ -146,8 +146,8 @@ impl Zone {
 
     /// The first instant of a local date, UTC in nanoseconds since 1970.
     ///
-    /// Where clocks jump over midnight it is the moment of the jump, where midnight comes twice it is
-    /// the first, and for a date that the zone skipped altogether it is the start of the next.
+    /// Where clocks jump over midnight, it is the moment of the jump. Where midnight occurs twice, it is the first. For
+    /// a date that the zone skipped altogether, it is the start of the next date.
     pub fn midnight_nanos(&self, day: LocalDay) -> i64 {
         let utc_midnight_secs = i64::from(day.0) * SECS_PER_DAY;
         let Ok(utc_midnight) = Timestamp::from_second(utc_midnight_secs) else {
@@ -158,7 +158,7 @@ impl Zone {
             AmbiguousOffset::Unambiguous { offset } => utc_midnight_secs - i64::from(offset.seconds()),
             AmbiguousOffset::Fold { before, .. } => utc_midnight_secs - i64::from(before.seconds()),
             AmbiguousOffset::Gap { before, .. } => {
-                // By the old offset, midnight is at or after the jump that skips it, and before any other.
+                // With the old offset, midnight is at or after the jump that skips it, and before any other jump.
                 let by_old_offset = utc_midnight_secs - i64::from(before.seconds());
                 self.last_change_secs(by_old_offset).unwrap_or(by_old_offset)
             }
@@ -168,7 +168,7 @@ impl Zone {
 
     /// The last change of offset at or before a second.
     fn last_change_secs(&self, utc_secs: i64) -> Option<i64> {
-        // `preceding` leaves out the moment itself.
+        // `preceding` excludes the moment itself.
         let after = Timestamp::from_second(utc_secs.saturating_add(1)).ok()?;
         self.rules.preceding(after).next().map(|change| change.timestamp().as_second())
     }

@@ -1,15 +1,15 @@
-//! How uncertain a prediction is.
+//! The uncertainty of a prediction.
 //!
 //! Information is in bits throughout. Invariant: no result is NaN or negative.
 
 /// The certainty that is left after an observation, p_c of RA-L eq. 3.
 pub const INFORMATION_CERTAINTY: f64 = 0.95;
 
-/// Entropy of a binary state with probability `p`, in bits, 0 to 1. A `p` outside `[0,1]` counts as the nearer end, NaN
-/// as 0.5 (nothing is known).
+/// Entropy of a binary state with probability `p`, in bits, 0 to 1. A `p` outside `[0,1]` counts as the nearer end, and
+/// NaN counts as 0.5 (nothing is known).
 pub fn entropy_bits(p: f64) -> f64 {
     let p = if p.is_nan() { 0.5 } else { p.clamp(0.0, 1.0) };
-    // x·log2 x tends to 0 with x; evaluated it would be NaN.
+    // x·log2 x tends to 0 with x, but its evaluation at 0 would give NaN.
     let term = |x: f64| if x > 0.0 { -x * libm::log2(x) } else { 0.0 };
     let bits = term(p) + term(1.0 - p);
     debug_assert!(bits >= 0.0, "{bits} bits of {p}");

@@ -1,4 +1,4 @@
-//! How well a model predicts given observations, at each order.
+//! The errors of a model's predictions of given observations, at each order.
 //!
 //! Invariant: evaluating changes nothing; every observation counts once.
 
@@ -9,7 +9,7 @@ mod tests;
 
 /// Observations that share one table of phasors; it stays in cache.
 const CHUNK: usize = 1024;
-/// The least share that a label counts as having been predicted with: a single certain error must not decide.
+/// The least predicted share that a label counts with: a single certain error must not decide.
 const SHARE_MIN: f64 = 1e-6;
 
 /// Errors of a model at predicting some observations.
@@ -19,10 +19,11 @@ pub struct Evaluation {
     pub observations: u64,
     /// Sum of squared differences of prediction and value.
     pub squared_error: f64,
-    /// Observations whose value and prediction lie on different sides of 0.5 (T-RO eq. 15); 0.5
-    /// itself counts as 1. Of labels: observations whose label is not the likeliest.
+    /// Observations whose value and prediction lie on different sides of 0.5 (T-RO eq. 15); 0.5 itself counts as 1. For
+    /// labels: observations whose label is not the likeliest.
     pub wrong: u64,
-    /// Of labels: the sum of the surprise of each, -log2 of its predicted share, which counts as at least 1e-6.
+    /// For labels: the sum of the surprise of each label, -log2 of its predicted share. The share counts as at least
+    /// 1e-6.
     pub log_loss_bits: f64,
 }
 
@@ -35,15 +36,15 @@ impl Evaluation {
         self.wrong += u64::from((predicted >= 0.5) != (value >= 0.5));
     }
 
-    /// Counts one angle and its prediction, in radians: the error is 1 − cos of their difference, which is half the
-    /// squared distance between the points on the unit circle, and for small differences half their square.
+    /// Counts one angle and its prediction, in radians. The error is 1 − cos of their difference: half the squared
+    /// distance between the points on the unit circle. For small differences it is half the squared difference.
     pub fn add_angle(&mut self, predicted_rad: f64, angle_rad: f64) {
         self.observations += 1;
         self.squared_error += 1.0 - libm::cos(predicted_rad - angle_rad);
     }
 
     /// Counts one label, by its number, and the predicted shares of all labels, which sum to 1. The squared error is
-    /// that of all shares (G. W. Brier, 1950), from 0 to 2.
+    /// the sum over all shares (G. W. Brier, 1950), from 0 to 2.
     pub fn add_label(&mut self, shares: &[f64], label: usize) {
         self.observations += 1;
         let own = shares.get(label).copied().unwrap_or(0.0);
@@ -87,7 +88,7 @@ pub fn evaluate(
     (0..=max_order.min(ORDER_MAX)).map(of_order).collect()
 }
 
-/// The errors of every order, summed over the samples; for a state that is not a probability, nothing is counted as
+/// The errors of every order, summed over the samples. If the state is not a probability, no observation counts as
 /// wrong.
 pub(crate) fn score_samples(
     kind: StateKind,

@@ -1,8 +1,8 @@
 //! The times between successive readings of a state, as a small random sample.
 //!
-//! Of all gaps so far the sixteen with the lowest hash of their number are kept, so the sample is exact up to sixteen
-//! gaps and a fair one afterwards. Invariant: the sample depends on the sequence of readings alone, not on how they
-//! were batched; the kept gaps ascend by hash, and no two have the same number.
+//! The sixteen gaps with the lowest hash of their number are kept. So the sample is exact up to sixteen gaps and fair
+//! afterwards. Invariant: the sample depends on the sequence of readings alone, not on how they were batched; the kept
+//! gaps ascend by hash, and no two have the same number.
 
 use crate::InvalidParts;
 
@@ -12,9 +12,9 @@ mod tests;
 
 pub use sample::GapSample;
 
-/// Gaps that are kept.
+/// Number of gaps that are kept.
 const KEPT: usize = 16;
-/// With fewer gaps nothing is known of a regular one.
+/// With fewer gaps, no regular gap is reported.
 const REGULAR_MIN: usize = 8;
 /// A gap is regular if hardly any is shorter than this share of the median.
 const REGULAR_SHARE: f64 = 0.9;
@@ -26,12 +26,12 @@ pub struct Gaps {
     parts: GapsParts,
 }
 
-/// What [`Gaps`] consist of, for storage.
+/// The parts of [`Gaps`], for storage.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct GapsParts {
-    /// Gaps so far.
+    /// Number of gaps so far.
     pub count: u64,
-    /// Kept gaps: the number of each, from 0, and its length in whole seconds.
+    /// The kept gaps: the number of each, from 0, and its length in whole seconds.
     pub kept: Vec<(u64, u32)>,
 }
 
@@ -54,12 +54,12 @@ impl Gaps {
         kept.truncate(KEPT);
     }
 
-    /// The median gap, of an even number the shorter of the middle two; 0 without gaps. In nanoseconds.
+    /// The median gap in nanoseconds; the shorter of the middle two if the number is even; 0 without gaps.
     pub fn median_nanos(&self) -> u64 {
         median_nanos(&self.sorted())
     }
 
-    /// The gap of regular readings in nanoseconds; `None` if there are few, or if some follow each other faster.
+    /// The gap of regular readings in nanoseconds; `None` if there are few gaps, or if some gaps are shorter.
     pub fn regular_nanos(&self) -> Option<u64> {
         regular_nanos(&self.sorted())
     }
@@ -78,7 +78,8 @@ impl Gaps {
     /// Gaps from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where too many are kept, one has a number that is too high, or they are out of order.
+    /// Returns [`InvalidParts`] if too many gaps are kept, a gap has a number that is too high, or they are out of
+    /// order.
     pub fn from_parts(parts: GapsParts) -> Result<Gaps, InvalidParts> {
         let found = parts.kept.len();
         if found > KEPT || (found as u64) > parts.count {
@@ -95,7 +96,7 @@ impl Gaps {
     }
 }
 
-/// To the nearest second.
+/// Converts to the nearest second.
 fn whole_secs(nanos: u64) -> u32 {
     u32::try_from((nanos.saturating_add(SEC_NANOS / 2)) / SEC_NANOS).unwrap_or(u32::MAX)
 }
@@ -107,7 +108,7 @@ fn median_nanos(secs: &[u32]) -> u64 {
 
 /// The gap of regular readings, from ascending gaps.
 fn regular_nanos(secs: &[u32]) -> Option<u64> {
-    // One in sixteen may be shorter: a reading out of turn.
+    // One gap in sixteen may be shorter, because of a reading out of turn.
     let short = *secs.get(1).filter(|_| secs.len() >= REGULAR_MIN)?;
     let median = median_nanos(secs);
     (f64::from(short) * SEC_NANOS as f64 >= REGULAR_SHARE * median as f64 && median > 0).then_some(median)

@@ -1,40 +1,42 @@
-//! How many looks speak for each hour of the day: its own, and those nearby by how much they tell of it; and what that
-//! leaves of a model's answer.
+//! The evidence for each hour of the day, in half-hour bins, and how the evidence limits the prediction of a model.
 //!
-//! Invariant: more looks never make an hour less known, and no answer is exactly 0 or 1 unless the mean is.
+//! The evidence of an hour is the number of its own observed bins, plus a share for nearby hours. The share depends on
+//! the correlation of the two hours. Invariant: more bins never reduce the evidence of an hour, and no prediction is
+//! exactly 0 or 1 unless the mean is.
 
 use crate::{LocalDay, civil::NANOS_PER_SEC};
 
 /// Hours of a day.
 pub(crate) const HOURS: usize = 24;
-/// Values by hour of the day.
+/// One value for each hour of the day.
 pub(crate) type Hours = [f64; HOURS];
 
 const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 /// The first weekday of the weekend; Monday is 0.
 pub(crate) const SATURDAY: usize = 5;
 
-/// Whether a weekday, 0 for Monday, is of the weekend: 1, else 0.
+/// The kind of day of a weekday, 0 for Monday: 1 for the weekend, else 0.
 pub(crate) fn kind_of_day(weekday: usize) -> usize {
     usize::from(weekday >= SATURDAY)
 }
 
 /// The squared correlation of hours that are so many hours apart.
 const NEAR: [f64; 4] = [1.0, 0.4, 0.18, 0.05];
-/// The factor for the other kind of day: weekdays tell of weekends less.
+/// The factor for the other kind of day: bins of weekdays are weaker evidence for weekends, and the reverse.
 const OTHER_KIND: f64 = 0.6;
-/// One hour never tells more of another than this share.
+/// The greatest share of one hour's evidence that counts for another hour.
 const SHARE_MAX: f64 = 0.95;
-/// The looks with which an answer keeps half of what its model says beyond the mean.
+/// The number of bins with which a prediction keeps half of its model's distance from the mean.
 const HALF_KEPT: f64 = 0.5;
-/// The looks that the mean counts as, where a model is certain.
+/// The number of bins that the mean counts as, if a model is certain.
 const MEAN_LOOKS: f64 = 0.5;
-/// Steps of the stored numbers in a doubling of 1 + 4 looks.
+/// Steps of the stored numbers in a doubling of 1 + 4 bins.
 const STEPS: f64 = 16.0;
-/// The stored number of hours that are known whatever the looks.
+/// The stored number of an hour that counts as known, whatever the number of bins.
 const KNOWN: u8 = u8::MAX;
 
-/// The equivalent looks by hour of weekdays, then of weekends. `looks`: number of looks likewise.
+/// The equivalent number of bins by hour, of weekdays, then of weekends. `looks`: the number of observed bins in the
+/// same order.
 pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
     let mut equivalent = *looks;
     for (kind, hours) in equivalent.iter_mut().enumerate() {
@@ -43,7 +45,8 @@ pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
                 for (apart, &near) in NEAR.iter().enumerate() {
                     let share = if other_kind == kind { near } else { near * OTHER_KIND };
                     let mut add = |number: f64| {
-                        // What so many looks tell of their own hour, and that hour of this one.
+                        // The evidence of so many bins for their own hour, times the correlation of that hour with this
+                        // one.
                         let share = (share * number / (number + 1.0)).min(SHARE_MAX);
                         *known += share / (1.0 - share);
                     };
@@ -62,7 +65,7 @@ pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
     equivalent
 }
 
-/// The share of the members' answer at an hour for which so many looks speak; the smooth table has the rest.
+/// The weight of the members' prediction at an hour with so many equivalent bins; the smooth table has the rest.
 pub(crate) fn evidence(equivalent_looks: f64) -> f64 {
     let square = equivalent_looks * equivalent_looks;
     square / (square + HALF_KEPT * HALF_KEPT)
@@ -76,7 +79,8 @@ pub fn kind_and_hour(civil_nanos: i64) -> (usize, usize) {
     (kind, civil_nanos.div_euclid(HOUR_NANOS).rem_euclid(HOURS as i64) as usize)
 }
 
-/// The equivalent looks of each hour of weekdays and of weekends, a byte each, to 5 %. By default every hour is known.
+/// The equivalent number of bins of each hour of weekdays and of weekends, a byte each, to 5 %. By default every hour
+/// is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HoursSeen {
     steps: [[u8; HOURS]; 2],
@@ -89,13 +93,13 @@ impl Default for HoursSeen {
 }
 
 impl HoursSeen {
-    /// From the number of looks at each hour of weekdays, then of weekends.
+    /// Computes the evidence from the number of bins at each hour of weekdays, then of weekends.
     pub fn of_looks(looks: &[[f64; 24]; 2]) -> HoursSeen {
         let steps = |looks: f64| (STEPS * libm::log2(1.0 + 4.0 * looks.max(0.0))).min(f64::from(KNOWN - 1)) as u8;
         HoursSeen { steps: equivalent_looks(looks).map(|hours| hours.map(steps)) }
     }
 
-    /// What the looks leave of answers for a local civil time, in nanoseconds since 1970-01-01T00:00 local.
+    /// The effect of the evidence on predictions for a local civil time, in nanoseconds since 1970-01-01T00:00 local.
     pub fn at(&self, civil_nanos: i64) -> Evidence {
         let (kind, hour) = kind_and_hour(civil_nanos);
         let steps = self.steps[kind][hour];
@@ -111,33 +115,33 @@ impl HoursSeen {
         self.steps.as_flattened().to_vec()
     }
 
-    /// From stored bytes; `None` unless there are 48.
+    /// Reads the evidence from stored bytes; `None` unless there are 48.
     pub fn from_bytes(bytes: &[u8]) -> Option<HoursSeen> {
         let (steps, rest) = bytes.as_chunks::<HOURS>();
         Some(HoursSeen { steps: steps.try_into().ok().filter(|_| rest.is_empty())? })
     }
 }
 
-/// What the looks at an hour leave of a model's answer.
+/// The effect of the evidence at an hour on a model's prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
-    /// The share that is kept of the answer's distance from the mean.
+    /// The share that is kept of the prediction's distance from the mean.
     kept: f64,
-    /// The share of the mean that no answer falls below.
+    /// The share of the mean below which no prediction falls.
     of_mean: f64,
 }
 
 impl Evidence {
-    /// Every answer stays as it is.
+    /// Every prediction stays as it is.
     pub const WHOLE: Evidence = Evidence { kept: 1.0, of_mean: 0.0 };
 
-    /// Whether every answer stays as it is.
+    /// Whether every prediction stays as it is.
     pub fn is_whole(self) -> bool {
         self == Evidence::WHOLE
     }
 
-    /// The answer that is left of a model's `answer`: nearer to the `mean` the fewer the looks are, and never nearer to
-    /// 0 or 1 than they allow. Both are in `[0,1]`.
+    /// Returns the tempered prediction for a model's `answer`: the fewer the bins, the nearer it is to the `mean`. It
+    /// is never nearer to 0 or 1 than the evidence allows. Both arguments are in `[0,1]`.
     #[inline]
     pub fn temper(self, mean: f64, answer: f64) -> f64 {
         let kept = mean + self.kept * (answer - mean);

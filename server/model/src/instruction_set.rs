@@ -18,7 +18,7 @@ static CHOSEN: AtomicU8 = AtomicU8::new(0);
 /// A set of vector instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum InstructionSet {
-    /// One number at a time; every processor can.
+    /// One number at a time; available on every processor.
     Scalar,
     /// Two numbers at a time, on ARM.
     Neon,
@@ -38,7 +38,7 @@ impl InstructionSet {
     pub const ALL: [InstructionSet; 4] =
         [InstructionSet::Scalar, InstructionSet::Neon, InstructionSet::Avx2, InstructionSet::Avx512];
 
-    /// As people write it.
+    /// The name of the set in options.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -75,18 +75,18 @@ impl InstructionSet {
         }
     }
 
-    /// Whether this processor can run it.
+    /// Checks whether this processor can run the set.
     ///
     /// # Errors
-    /// [`NoSuchInstructions`] where it cannot.
+    /// [`NoSuchInstructions`] if it cannot.
     pub fn check(self) -> Result<(), NoSuchInstructions> {
         self.arch().map(|_| ()).ok_or(NoSuchInstructions(self))
     }
 
-    /// Lets all kernels of this process use it from now on.
+    /// Makes all kernels of this process use the set from now on.
     ///
     /// # Errors
-    /// [`NoSuchInstructions`] where this processor cannot run it; nothing changes then.
+    /// [`NoSuchInstructions`] if this processor cannot run the set; nothing changes then.
     pub fn choose(self) -> Result<(), NoSuchInstructions> {
         self.check()?;
         let place = InstructionSet::ALL.iter().position(|set| *set == self).unwrap_or(0);
@@ -94,7 +94,7 @@ impl InstructionSet {
         Ok(())
     }
 
-    /// `None` where this processor cannot run it.
+    /// The set for the kernels; `None` if this processor cannot run it.
     pub(crate) fn arch(self) -> Option<Arch> {
         match self {
             InstructionSet::Scalar => Some(Arch::Scalar),
@@ -130,7 +130,7 @@ impl fmt::Display for Listed {
     }
 }
 
-/// What runs the kernels.
+/// The runner of the kernels.
 #[inline]
 pub(crate) fn arch() -> Arch {
     match CHOSEN.load(Ordering::Relaxed) {

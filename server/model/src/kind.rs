@@ -1,4 +1,4 @@
-//! The kinds of states: what a value means, and which values are allowed.
+//! The kinds of states: the meaning of a value, and the values that are allowed.
 //!
 //! The kind is fixed when a state is created.
 //!
@@ -9,9 +9,9 @@
 //!   units of two standard deviations. So a state in millimetres is learned as one in metres.
 //! - **Orders and models are compared by squared error** for other kinds, whatever the criterion: the zero-one error is
 //!   defined for probabilities only.
-//! - **Intervals** are the prediction ± z·σ (`models/interval/values.rs`), where σ is from the ensemble's errors by lag
-//!   (`ensemble/numbers/spread.rs`) or, without one, between days. Anomalies are tail probabilities
-//!   (`models/interval/single.rs`). There is no interval before two observations are learned.
+//! - **Intervals** are the prediction ± z·σ (`models/interval/values.rs`). σ is the ensemble's error by lead time
+//!   (`ensemble/numbers/spread.rs`) or, without an ensemble, the variation between days. Anomalies are tail
+//!   probabilities (`models/interval/single.rs`). There is no interval before two observations are learned.
 //! - **Models of one kind only**: the Markov chain, Pergam and the uniform variant support probabilities only, Poisson
 //!   supports counts only. Other kinds are refused. Cells of a grid are probabilities.
 //!
@@ -25,16 +25,16 @@ mod tests;
 /// The largest magnitude of a value that is not a probability.
 pub const VALUE_MAX: f64 = 1e12;
 
-/// What the value of a state means. It is fixed when the state is created. A position
+/// The meaning of the value of a state. It is fixed when the state is created. A position
 /// ([`crate::Position`]) is a state of continuous values for each of its coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum StateKind {
     /// A value in [0, 1]; binary states have only 0 and 1.
     #[default]
     Probability,
-    /// Any number of magnitude [`VALUE_MAX`] at most, such as a speed or a temperature, in whatever unit it comes in.
+    /// Any number of magnitude [`VALUE_MAX`] at most, such as a speed or a temperature, in any unit.
     Continuous,
-    /// A whole number from 0 to [`VALUE_MAX`], such as how many people passed.
+    /// A whole number from 0 to [`VALUE_MAX`], such as the number of people who passed.
     Count,
 }
 
@@ -65,7 +65,7 @@ impl StateKind {
         self.bounds().contains(&value) && (self != StateKind::Count || value.fract() == 0.0)
     }
 
-    /// What [`StateKind::allows`], in words, for a message that ends "… is not".
+    /// The values that [`StateKind::allows`] accepts, in words, for a message that ends "… is not".
     pub fn expected(self) -> &'static str {
         match self {
             StateKind::Probability => "between 0 and 1",

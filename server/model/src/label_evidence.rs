@@ -1,30 +1,30 @@
-//! Which of a few labels holds, such as what a person does: what a classifier says, joined with what is usual.
+//! Which of a few labels holds, such as the activity of a person: joins the output of a classifier with priors.
 //!
-//! The posterior of a label is proportional to the likelihood of what the classifier said if the label held, times how
-//! usual the label is at the time (Krajník et al., "Frequency Map Enhancement", 2016, section VIII). Where the place is
-//! known, it is a second prior: how usual the place is for the label, p(place | label), so that how often a label
-//! occurs at all counts once, in the temporal prior, and not again for the place. Usual is what temporal models
-//! predict, one for each label, and what [`LabelPlaces`] counted. Neither ever excludes a label: both are at least
-//! [`PRIOR_MIN`].
+//! The posterior of a label is proportional to the likelihood of the classifier's output if the label held, times the
+//! prior of the label at the time (Krajník et al., "Frequency Map Enhancement", 2016, section VIII). If the place is
+//! known, it gives a second prior: the probability of the place for the label, p(place | label). So the overall
+//! frequency of a label counts once, in the temporal prior, and not again for the place. The temporal priors are
+//! predictions of temporal models, one for each label. The spatial priors are from the counts of [`LabelPlaces`]. No
+//! prior ever excludes a label: both are at least [`PRIOR_MIN`].
 //!
-//! Invariant: a posterior has a probability for each label, from 0 to 1, and they sum to 1 within rounding; evidence of
-//! which there is none is refused, not guessed.
+//! Invariant: a posterior has a probability for each label, from 0 to 1, and they sum to 1 within rounding; missing
+//! evidence is refused, not guessed.
 
 use std::ops::RangeInclusive;
 
-/// The least that a prior says of a label.
+/// The least prior of a label.
 pub const PRIOR_MIN: f64 = 0.001;
-/// How many labels there may be.
+/// The allowed number of labels.
 pub const LABELS: RangeInclusive<usize> = 2..=64;
 
-/// Why evidence was refused.
+/// The reason why evidence was refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidEvidence {
     /// Too few or too many labels.
     #[error("{found} labels, but there have to be {min} to {max}", min = LABELS.start(), max = LABELS.end())]
     Labels { found: usize },
-    /// Two parts of the evidence are about different numbers of labels.
+    /// Two parts of the evidence have different numbers of labels.
     #[error("{what} has {found} values for {expected} labels")]
     Length { what: &'static str, expected: usize, found: usize },
     /// A value is not finite, or outside the range that its meaning allows.
@@ -38,14 +38,14 @@ pub enum InvalidEvidence {
     Unknown { what: &'static str, found: usize, count: usize },
 }
 
-/// What is known of a label at a time and place.
+/// The evidence for each label at a time and place.
 #[derive(Clone, Copy, Debug)]
 pub struct LabelEvidence<'a> {
     /// For each label, the likelihood of what was observed if the label held; any scale, 0 or more.
     pub likelihoods: &'a [f64],
     /// For each label, its probability at the time, as temporal models predict it. They need not sum to 1.
     pub temporal: &'a [f64],
-    /// For each label, the probability of being at this place while it holds; none where the place is not known.
+    /// For each label, the probability of being at this place while it holds; `None` if the place is not known.
     pub spatial: Option<&'a [f64]>,
 }
 
@@ -68,7 +68,7 @@ impl LabelEvidence<'_> {
         if highest <= 0.0 {
             return Err(InvalidEvidence::NothingPossible);
         }
-        // Likelihoods of any scale: the highest becomes 1, so that the sum neither overflows nor vanishes.
+        // The likelihoods have any scale. The highest becomes 1, so that the sum neither overflows nor vanishes.
         let weight = |label: usize| {
             let spatial = self.spatial.map_or(1.0, |spatial| spatial[label].max(PRIOR_MIN));
             self.likelihoods[label] / highest * self.temporal[label].max(PRIOR_MIN) * spatial
@@ -80,8 +80,8 @@ impl LabelEvidence<'_> {
     }
 }
 
-/// Divides shares of labels by their sum, so that they sum to 1, and gives the sum. Shares that are all 0 become equal,
-/// and their sum counts as 1.
+/// Divides shares of labels by their sum, so that they sum to 1, and returns the sum. Shares that are all 0 become
+/// equal, and their sum counts as 1.
 pub fn normalise(shares: &mut [f64]) -> f64 {
     let sum: f64 = shares.iter().sum();
     if sum > 0.0 && sum.is_finite() {
@@ -118,17 +118,17 @@ fn check(
     }
 }
 
-/// Where each label was observed, and how often.
+/// The number of observations of each label at each place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LabelPlaces {
-    /// By place, then by label.
+    /// The number of observations by place, then by label.
     counts: Vec<Vec<f64>>,
-    /// By label: at all places.
+    /// The number of observations at all places, by label.
     totals: Vec<f64>,
 }
 
 impl LabelPlaces {
-    /// Nothing observed yet at any of the places.
+    /// A table of places without any observation.
     ///
     /// # Errors
     /// [`InvalidEvidence::Labels`] if there are too few or too many labels.
@@ -142,7 +142,7 @@ impl LabelPlaces {
     /// Counts an observation of a label at a place.
     ///
     /// # Errors
-    /// [`InvalidEvidence::Unknown`] if there is no such label or place; nothing is counted then.
+    /// [`InvalidEvidence::Unknown`] if there is no such label or place; the observation is then not counted.
     pub fn add(&mut self, label: usize, place: usize) -> Result<(), InvalidEvidence> {
         self.add_many(label, place, 1.0)
     }
@@ -150,7 +150,7 @@ impl LabelPlaces {
     /// Counts observations of a label at a place; their number, at least 0, may have a fraction.
     ///
     /// # Errors
-    /// As [`LabelPlaces::add`]; also if the number is negative or not finite.
+    /// The errors of [`LabelPlaces::add`]; also an error if the number is negative or not finite.
     pub fn add_many(&mut self, label: usize, place: usize, count: f64) -> Result<(), InvalidEvidence> {
         if !(0.0..=f64::MAX).contains(&count) {
             let (what, right) = ("the number of observations", "a finite number of at least 0");
@@ -165,7 +165,7 @@ impl LabelPlaces {
     }
 
     /// For each label, the probability of being at the place while it holds, by Laplace's rule of succession over the
-    /// places where anything was observed. None for a place where nothing was, which says nothing of any label.
+    /// places that have any observation. A place without observations has no prior: it is no evidence for any label.
     pub fn prior(&self, place: usize) -> Option<Vec<f64>> {
         let has_any = |counts: &[f64]| counts.iter().any(|&count| count > 0.0);
         let counts = self.counts.get(place).filter(|counts| has_any(counts))?;

@@ -40,10 +40,10 @@ impl<S: Simd, const V: usize> Eight<S, V> {
 
 /// A computation on eight lanes.
 pub(crate) trait EightLanes {
-    /// What the computation returns.
+    /// The result of the computation.
     type Output;
 
-    /// Runs it with `V` vectors of eight numbers together.
+    /// Runs the computation with `V` vectors that have eight numbers together.
     fn run<S: Simd, const V: usize>(self, simd: S) -> Self::Output;
 }
 

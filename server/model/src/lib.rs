@@ -3,8 +3,9 @@
 //! The models are FreMEn, Frequency Map Enhancement: Krajník et al., "FreMEn: Frequency Map Enhancement for Long-Term
 //! Mobile Robot Autonomy in Changing Environments", T-RO 2017 ("T-RO"), and Santos et al., "Lifelong Information-Driven
 //! Exploration to Complete and Refine 4-D Spatio-Temporal Maps", RA-L 2016 ("RA-L"). A state is anything with a value
-//! over time, a probability or, by its [`StateKind`], another number: a door, a cell, an edge, the speed of people at a
-//! place. This crate knows nothing of where a state is, of other states, of files or of the network.
+//! Exploration to Complete and Refine 4-D Spatio-Temporal Maps", RA-L 2016 ("RA-L"). A state is anything with a value
+//! over time: a probability or, by its [`StateKind`], another number. Examples are a door, a cell, an edge, and the
+//! speed of people at a place. This crate has no data about the place of a state, other states, files or the network.
 //!
 //! Invariants: no I/O, no clock, no randomness; a sum over observations does not depend on their
 //! order or on how they were batched (to 1e-9); every prediction lies in the bounds of its state's kind, `[0,1]` of a
@@ -111,14 +112,14 @@ pub use surprise::{
 };
 pub use update_worth::UpdateWorth;
 
-/// The number of the mathematics, raised with every change of the bits that updates learn from one log. The digests of
-/// two daemons can be compared where their numbers are equal.
+/// The version number of the mathematics. It rises with every change of the bits that updates learn from one log. Two
+/// daemons can compare their digests if their numbers are equal.
 pub const MATHS: u32 = 1;
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const ORDER_MAX: usize = 15;
 
-/// Why stored parts were refused: they cannot have come from this crate's `to_parts`.
+/// The reason why stored parts were refused: they cannot have come from this crate's `to_parts`.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidParts {
@@ -131,7 +132,7 @@ pub enum InvalidParts {
     /// The first observation is later than the last.
     #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
     TimesReversed { first_nanos: i64, last_nanos: i64 },
-    /// More components or a higher order than [`ORDER_MAX`].
+    /// The number of components or the order is above [`ORDER_MAX`].
     #[error("order {found} is above {ORDER_MAX}")]
     OrderTooHigh { found: usize },
 }

@@ -53,9 +53,9 @@ pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{EarlyStop, Sample, StopSignal, civil::NANOS_PER_SEC};
 
-/// A model is trained at night on readings at most this old against the state's newest: twelve weeks, in nanoseconds.
-/// Older days would hardly count in a calibrated model, and training takes no longer after a year than after these
-/// weeks.
+/// The greatest age of readings, against the state's newest, that a model is trained on at night: twelve weeks, in
+/// nanoseconds. Older days would hardly count in a calibrated model, and training takes no longer after a year than
+/// after these weeks.
 pub const NIGHTLY_WINDOW_NANOS: i64 = 84 * 86_400 * NANOS_PER_SEC;
 
 /// A moment with its local time.
@@ -92,7 +92,7 @@ pub trait TemporalModel {
 pub struct Readings<'a> {
     /// Ascending by UTC time, values finite; equal times may occur.
     pub samples: &'a [Sample],
-    /// A reading that is this many seconds older than the newest counts half; `None`: all have equal weight.
+    /// The age, in seconds against the newest reading, at which a reading counts half; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
     /// Ends the training early, with [`CannotTrain::Stop`].
     pub stop: StopSignal<'a>,
@@ -111,7 +111,7 @@ impl<'a> Readings<'a> {
         self.samples.iter().map(move |sample| match half_life_secs {
             Some(half_life_secs) if half_life_secs > 0.0 => {
                 let age_secs = newest_nanos.abs_diff(sample.utc_nanos) as f64 / 1e9;
-                // Above 0 for any age: a single reading still counts.
+                // The weight is above 0 for any age, so that a single reading still counts.
                 libm::exp2(-age_secs / half_life_secs).max(f64::MIN_POSITIVE)
             }
             _ => 1.0,
@@ -119,7 +119,7 @@ impl<'a> Readings<'a> {
     }
 }
 
-/// Why a model could not be trained.
+/// The reason why a model could not be trained.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum CannotTrain {
@@ -136,7 +136,7 @@ pub enum CannotTrain {
          needs no regular ones"
     )]
     Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
-    /// The training was told to stop.
+    /// The training was stopped.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }

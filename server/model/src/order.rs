@@ -1,8 +1,9 @@
-//! Choosing the model order: how well each order has predicted what was observed after it was trained.
+//! Chooses the model order: how well each order has predicted observations that came after its training.
 //!
-//! T-RO section IV.B, with memory: errors fade by 7 % with each further day of observations, so that neither one
-//! unusual day nor the distant past decides. Days without observations do not count: a place that is seen once a month
-//! is not judged by its last look alone. Invariant: the error sums are finite and not negative.
+//! The method is T-RO section IV.B, with memory: errors fade by 7 % with each further day of observations, so that
+//! neither one unusual day nor the distant past decides. Days without observations do not count: a place that is
+//! observed once a month is not judged by its last observation alone. Invariant: the error sums are finite and not
+//! negative.
 
 use crate::{InvalidParts, LocalDay, ORDER_MAX};
 
@@ -12,15 +13,15 @@ mod tests;
 /// The share of a day's errors that remains after each further observed local day.
 const KEPT_PER_DAY: f64 = 0.93;
 
-/// The share of earlier errors that remains when a day is recorded after `last`: a later day fades them, the same or an
-/// earlier one does not.
+/// The share of earlier errors that remains when a day is recorded after `last`. A later day fades them; the same day
+/// or an earlier one does not.
 pub(crate) fn kept(last: LocalDay, day: LocalDay) -> f64 {
     if day > last { KEPT_PER_DAY } else { 1.0 }
 }
 /// A lower order is preferred if its error exceeds the lowest by at most this factor.
 const NEAR_TIE: f64 = 1.001;
 
-/// Which error of a prediction counts when the order is chosen.
+/// The error of a prediction that counts when the order is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum OrderCriterion {
     /// Squared difference of prediction and value.
@@ -36,10 +37,10 @@ pub struct OrderErrors {
     parts: OrderErrorsParts,
 }
 
-/// What [`OrderErrors`] consist of, for storage.
+/// The parts of [`OrderErrors`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderErrorsParts {
-    /// Faded sum of errors per order, as of `last_day`.
+    /// Faded sum of errors per order, at `last_day`.
     pub sums: [f64; ORDER_MAX + 1],
     /// The last local day that was recorded.
     pub last_day: Option<LocalDay>,
@@ -58,7 +59,7 @@ impl OrderErrors {
         self.parts.last_day = Some(day.max(last_day));
     }
 
-    /// Forgetting: lowers the weight of the errors recorded so far.
+    /// Lowers the weight of the errors recorded so far (forgetting).
     pub(crate) fn fade(&mut self, factor: f64) {
         self.parts.sums.iter_mut().for_each(|sum| *sum *= factor);
     }

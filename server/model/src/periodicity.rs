@@ -1,4 +1,4 @@
-//! Candidate periodicities Ω: the periods that a model looks for, and the phase of a time in each.
+//! Candidate periodicities Ω: the candidate periods of a model, and the phase of a time in each.
 //!
 //! A time is reduced modulo a period in integer nanoseconds before it becomes f64: at today's dates f64 seconds have a
 //! resolution of 2e-7 s, and harmonics would multiply this error. Invariant: 1..=2048 periods of 1 s to 100 years, no
@@ -17,35 +17,35 @@ const PERIOD_MIN_NANOS: i64 = NANOS_PER_SEC;
 const PERIOD_MAX_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
 const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
 const WEEK_HARMONICS: u32 = 168;
-/// Periods that are a year.
+/// The periods that count as a year.
 const YEAR_NANOS: std::ops::RangeInclusive<u64> = 365 * DAY_NANOS..=366 * DAY_NANOS;
 const DAY_NANOS: u64 = 86_400 * NANOS_PER_SEC as u64;
-/// Readings are in phase with a period if the mean of their phasors is at least this long: as of looks at the same time
-/// of each day, of up to two and a half hours.
+/// Readings are in phase with a period if the mean of their phasors is at least this long. This is the length for
+/// readings at the same time of each day, within up to two and a half hours.
 const IN_PHASE: f64 = 0.98;
 
-/// How candidate periodicities are defined.
+/// The definition of candidate periodicities.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeriodicityDefinition {
-    /// The periods base/1, base/2, … base/count; T-RO section III.C.
+    /// The periods are base/1, base/2, … base/count; T-RO section III.C.
     Harmonics {
         /// The longest period, in nanoseconds.
         base_nanos: i64,
-        /// How many periods.
+        /// Number of periods.
         count: u32,
     },
-    /// These periods.
+    /// The periods are given one by one.
     List {
         /// Periods in nanoseconds, in the order of their indices.
         period_nanos: Vec<i64>,
     },
 }
 
-/// Why periodicities are invalid.
+/// The reason why periodicities are invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidPeriodicities {
-    /// Too few or too many.
+    /// There are too few or too many periodicities.
     #[error("{found} periodicities, expected 1 to {COUNT_MAX}")]
     Count { found: usize },
     /// A period, or for harmonics the shortest one, is too short or too long.
@@ -80,7 +80,7 @@ pub(crate) enum Cycles {
 }
 
 impl Periodicities {
-    /// The periods base, base/2, … base/count.
+    /// Creates periodicities with the periods base, base/2, … base/count.
     ///
     /// # Errors
     /// [`InvalidPeriodicities`] unless 1 ≤ count ≤ 2048 and all periods are within 1 s and 100 years.
@@ -94,7 +94,7 @@ impl Periodicities {
         }))
     }
 
-    /// These periods, in nanoseconds, in the order given.
+    /// Creates periodicities with these periods, in nanoseconds, in the order given.
     ///
     /// # Errors
     /// [`InvalidPeriodicities`] unless there are 1 to 2048, each within 1 s and 100 years, no two equal.
@@ -121,7 +121,7 @@ impl Periodicities {
         Periodicities { inner: Arc::new(inner) }
     }
 
-    /// The definition; enough to create them again.
+    /// The definition, from which the periodicities can be created again.
     pub fn definition(&self) -> &PeriodicityDefinition {
         &self.inner.definition
     }
@@ -134,7 +134,7 @@ impl Periodicities {
         }
     }
 
-    /// Always false: there is at least one.
+    /// Always false, because there is at least one periodicity.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -148,8 +148,8 @@ impl Periodicities {
         }
     }
 
-    /// A 60th of the shortest period, in nanoseconds, at least 1: readings that are no further apart are one look,
-    /// since no periodicity tells them apart.
+    /// A 60th of the shortest period, in nanoseconds, at least 1. Readings that are no further apart count as one
+    /// observation, since no periodicity separates them.
     pub fn look_nanos(&self) -> i64 {
         let shortest = match &self.inner.cycles {
             Cycles::Harmonics { base, count } => base.period / *count as u64,
@@ -158,7 +158,7 @@ impl Periodicities {
         i64::try_from(shortest / 60).unwrap_or(i64::MAX).max(1)
     }
 
-    /// Whether the year is one of a list of periods.
+    /// Whether a list of periods contains the year.
     pub(crate) fn names_year(&self) -> bool {
         let is_year = |cycle: &Cycle| YEAR_NANOS.contains(&cycle.period);
         matches!(&self.inner.cycles, Cycles::List(list) if list.iter().any(is_year))
@@ -170,17 +170,18 @@ impl Periodicities {
         u128::from(span_nanos) * 100 * turns >= u128::from(period) * 99
     }
 
-    /// Whether readings that are this far apart tell periodicity `k` from slower ones: its period is at least twice the
-    /// gap (H. Nyquist), with a hundredth for rounding.
+    /// Whether readings with this gap resolve periodicity `k` from slower ones: its period is at least twice the gap
+    /// (H. Nyquist), with a hundredth for rounding.
     pub(crate) fn is_resolved(&self, k: usize, gap_nanos: u64) -> bool {
         let Some((period, turns)) = self.period_of_turns(k) else { return false };
         u128::from(period) * 100 >= u128::from(gap_nanos) * 198 * turns
     }
 
-    /// The longest of the harmonics with which nearly all readings are in phase, in nanoseconds: such readings tell
-    /// apart only periods of at least twice as much, as if they were that far apart (H. Nyquist). 0 without one, and
-    /// for a list of periods, whose differences are none of them. `phasors`: Σ e^(-jω_k t) over the readings, each as
-    /// its squared magnitude; `weight`: number of the readings.
+    /// The longest of the harmonics with which nearly all readings are in phase, in nanoseconds. Such readings resolve
+    /// only periods of at least twice as much, as if they were that far apart (H. Nyquist). The result is 0 if there is
+    /// no such harmonic. It is also 0 for a list of periods, because the difference of two such periods need not be in
+    /// the list. `phasors`: Σ e^(-jω_k t) over the readings, each as its squared magnitude; `weight`: number of the
+    /// readings.
     pub(crate) fn in_phase_nanos(&self, phasors: impl Iterator<Item = f64>, weight: f64) -> u64 {
         let Cycles::Harmonics { base, .. } = &self.inner.cycles else { return 0 };
         let least = IN_PHASE * weight;
@@ -188,7 +189,7 @@ impl Periodicities {
         first.map_or(0, |(turns, _)| base.period / turns)
     }
 
-    /// Periodicity `k` as some nanoseconds and how often it turns in them; `None` where `k` is too large.
+    /// Periodicity `k` as a time in nanoseconds and its number of turns in that time; `None` where `k` is too large.
     fn period_of_turns(&self, k: usize) -> Option<(u64, u128)> {
         match &self.inner.cycles {
             Cycles::Harmonics { base, count } if k < *count => Some((base.period, k as u128 + 1)),
@@ -197,7 +198,7 @@ impl Periodicities {
         }
     }
 
-    /// Periodicity `k` as some nanoseconds and how often it turns in them; `None` where `k` is too large.
+    /// Periodicity `k` as a time in nanoseconds and its number of turns in that time; `None` where `k` is too large.
     pub(crate) fn turns_of(&self, k: usize) -> Option<(i64, u32)> {
         let (period, turns) = self.period_of_turns(k)?;
         Some((i64::try_from(period).ok()?, u32::try_from(turns).ok()?))
@@ -268,7 +269,7 @@ impl Cycle {
     #[inline(always)]
     pub(crate) fn turns(&self, civil_nanos: i64) -> f64 {
         let magnitude = civil_nanos.unsigned_abs();
-        // Barrett: the estimated quotient is the true one or one less.
+        // Barrett reduction: the estimated quotient is the true one or one less.
         let quotient = ((u128::from(magnitude) * u128::from(self.reciprocal)) >> 64) as u64;
         let estimate = magnitude - quotient * self.period;
         let remainder = if estimate >= self.period { estimate - self.period } else { estimate };

@@ -1,7 +1,7 @@
-//! Persistence: how long a state tends to keep its value, and how much the last observation still matters.
+//! Persistence: how long a state usually keeps its value, and how much the last observation still matters.
 //!
-//! Unlike the spectral model it depends on the order of arrival: only observations newer than the
-//! last one count. Invariant: 1/τ is finite and not negative, and the last value is one that the state's kind allows.
+//! Unlike the spectral model, persistence depends on the order of arrival: only observations newer than the last one
+//! count. Invariant: 1/τ is finite and not negative, and the last value is one that the state's kind allows.
 
 use crate::{InvalidParts, StateKind};
 
@@ -21,7 +21,7 @@ pub struct Persistence {
     parts: PersistenceParts,
 }
 
-/// What a [`Persistence`] consists of, for storage.
+/// The parts of a [`Persistence`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct PersistenceParts {
     /// Number m of pairs of successive observations.
@@ -47,8 +47,8 @@ impl Persistence {
         self.parts.last = Some((utc_nanos, value));
     }
 
-    /// The newest value has held up to a time, as if it had been observed every `step_nanos` until then. A time that is
-    /// not newer changes nothing.
+    /// Records that the newest value has held up to a time, as if it had been observed every `step_nanos` until then. A
+    /// time that is not newer changes nothing.
     pub fn hold(&mut self, until_nanos: i64, step_nanos: i64) {
         let Some((last_nanos, value)) = self.parts.last.filter(|(last, _)| *last < until_nanos) else { return };
         let steps = until_nanos.abs_diff(last_nanos).div_ceil(step_nanos.unsigned_abs().max(1));
@@ -67,9 +67,9 @@ impl Persistence {
         self.tau_secs_of(1.0)
     }
 
-    /// [`Persistence::tau_secs`] of a state whose values change by `change` rather than by 1, such as from one standard
-    /// deviation below their mean to one above it: changes are measured in units of `change`. A `change` that is not
-    /// above 0 and finite counts as 1.
+    /// Does the same as [`Persistence::tau_secs`] for a state whose values change by `change` rather than by 1, such as
+    /// from one standard deviation below their mean to one above it: changes are measured in units of `change`. A
+    /// `change` that is not above 0 and finite counts as 1.
     pub fn tau_secs_of(&self, change: f64) -> f64 {
         let change = if change > 0.0 && change.is_finite() { change } else { 1.0 };
         (1.0 + self.parts.pairs as f64) / (1.0 / PRIOR_TAU_SECS + self.parts.change_rate_sum / change)
@@ -81,7 +81,8 @@ impl Persistence {
         self.blend_of(1.0, p, utc_nanos)
     }
 
-    /// [`Persistence::blend`] of a state whose values change by `change`; see [`Persistence::tau_secs_of`].
+    /// Does the same as [`Persistence::blend`] for a state whose values change by `change`; see
+    /// [`Persistence::tau_secs_of`].
     pub fn blend_of(&self, change: f64, p: f64, utc_nanos: i64) -> f64 {
         match self.parts.last {
             Some((last_nanos, last_value)) if utc_nanos >= last_nanos => {
@@ -108,7 +109,7 @@ impl Persistence {
     /// The model of a state of the given kind from stored parts.
     ///
     /// # Errors
-    /// As [`Persistence::from_parts`].
+    /// The errors of [`Persistence::from_parts`].
     pub fn from_parts_of(kind: StateKind, parts: PersistenceParts) -> Result<Persistence, InvalidParts> {
         InvalidParts::check("change_rate_sum", parts.change_rate_sum, 0.0..=f64::MAX)?;
         if let Some((_, value)) = parts.last {

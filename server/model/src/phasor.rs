@@ -27,9 +27,9 @@ pub(crate) use tests::every_arch;
 pub struct PhasorTable {
     periodicities: Periodicities,
     civil_nanos: Vec<i64>,
-    /// The periodicities held, ascending.
+    /// The periodicities in the table, ascending.
     held: Vec<u32>,
-    /// One row per periodicity held.
+    /// One row per periodicity in the table.
     cos: AlignedRows,
     sin: AlignedRows,
 }
@@ -113,7 +113,7 @@ impl PhasorTable {
         &self.periodicities
     }
 
-    /// Cosines and sines of all times in periodicity `k`, counted from 0; `None` where it is not held.
+    /// Cosines and sines of all times in periodicity `k`, counted from 0; `None` if it is not in the table.
     #[inline]
     pub fn row(&self, k: u32) -> Option<(&[f64], &[f64])> {
         // In a complete table the row is the index.
@@ -200,7 +200,7 @@ impl WithSimd for FillRow<'_> {
     }
 }
 
-/// Cosine and sine of a multiple of each phase. This is a function because a closure might not be inlined, and would
+/// Cosine and sine of a multiple of each phase. This is a function because a closure might not be inlined; it would
 /// then be compiled without vector instructions.
 #[inline(always)]
 fn multiple<S: Simd>(simd: S, factor: S::f64s, turns: S::f64s) -> (S::f64s, S::f64s) {

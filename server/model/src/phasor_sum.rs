@@ -52,7 +52,7 @@ impl PhasorSum {
         Ok(PhasorSum { parts: parts.into() })
     }
 
-    /// All K real parts, then all K imaginary parts (sums of -sin); what to store.
+    /// All K real parts, then all K imaginary parts (sums of -sin), for storage.
     pub fn as_slice(&self) -> &[f64] {
         &self.parts
     }
@@ -157,13 +157,13 @@ impl WithSimd for AddDifference<'_> {
 pub struct RunningSums {
     /// Number of periodicities K.
     periodicities: usize,
-    /// Times in the chunk; there is one row more.
+    /// Number of times in the chunk; there is one row more.
     times: usize,
     rows: AlignedRows,
 }
 
 impl RunningSums {
-    /// Before the first time: one row of zeros.
+    /// The sums before the first time: one row of zeros.
     pub fn new(periodicities: &Periodicities) -> RunningSums {
         let periodicities = periodicities.len();
         RunningSums { periodicities, times: 0, rows: AlignedRows::zeros(1, 2 * periodicities) }
@@ -181,8 +181,8 @@ impl RunningSums {
         self.extend::<false>(phasors, &[]);
     }
 
-    /// As [`RunningSums::extend_chunk`] with weights: row i becomes Σ w·e^(-jω_k t). The weights are finite, of either
-    /// sign, one per time; missing weights are 0.
+    /// Does the same as [`RunningSums::extend_chunk`] with weights: row i becomes Σ w·e^(-jω_k t). The weights are
+    /// finite, of either sign, one per time; missing weights are 0.
     pub fn extend_weighted(&mut self, phasors: &PhasorTable, weights: &[f64]) {
         self.extend::<true>(phasors, weights);
     }
@@ -196,7 +196,7 @@ impl RunningSums {
         self.rows.row_mut(0).copy_from_slice(&last);
         let (cos, sin): (Vec<_>, Vec<_>) =
             (0..self.periodicities).map(|k| phasors.row(k as u32).unwrap_or_default()).unzip();
-        // Few rows at a time, so that all written rows fit into the translation cache (TLB).
+        // The loop fills few rows at a time, so that all written rows fit into the translation cache (TLB).
         for at in (0..self.times).step_by(STRIP) {
             let strip = at..self.times.min(at + STRIP);
             for (group, (cos, sin)) in cos.chunks(TILE).zip(sin.chunks(TILE)).enumerate() {
@@ -206,9 +206,9 @@ impl RunningSums {
         }
     }
 
-    /// Fills at most [`TILE`] columns from `column` on, one per row of phasors, behind some times: with
-    /// sums of the phasors, or of the `NEGATED` phasors, and what the row before them holds. Where they are `WEIGHTED`,
-    /// each time counts as its weight.
+    /// Fills at most [`TILE`] columns from `column` on, one per row of phasors, in the rows after the times of `strip`.
+    /// Each row is the row before plus the phasors of the time, or minus them if `NEGATED`. If `WEIGHTED`, the phasors
+    /// of each time are multiplied by its weight.
     fn run_on<const NEGATED: bool, const WEIGHTED: bool>(
         &mut self,
         phasors: &[&[f64]],
@@ -220,7 +220,7 @@ impl RunningSums {
         let mut sums = [0.0; TILE];
         sums[..phasors.len()].copy_from_slice(&self.rows.row(strip.start)[columns.clone()]);
         for at in strip.clone().step_by(TILE) {
-            // Read along rows and used along columns, so that each cache line is read once.
+            // Phasors are read along rows and used along columns, so that each cache line is read once.
             let mut tile = [[0.0; TILE]; TILE];
             for (tile, phasors) in tile.iter_mut().zip(phasors) {
                 let phasors = phasors.get(at..).unwrap_or_default();
@@ -249,8 +249,8 @@ impl RunningSums {
         }
     }
 
-    /// The sum before time `i` of the chunk, in the layout of [`PhasorSum::as_slice`]; `row(len())` is
-    /// that after its last time. Empty where `i` is above [`RunningSums::len`].
+    /// The sum before time `i` of the chunk, in the layout of [`PhasorSum::as_slice`]; `row(len())` is the sum after
+    /// its last time. It is empty if `i` is above [`RunningSums::len`].
     #[inline]
     pub fn row(&self, i: usize) -> &[f64] {
         if i <= self.times { self.rows.row(i) } else { &[] }

@@ -8,7 +8,7 @@ use crate::StateKind;
 /// Names of the axes.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// How many coordinates a position has.
+/// The number of coordinates of a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Dimensions {
     /// x and y.
@@ -34,7 +34,7 @@ impl Dimensions {
         }
     }
 
-    /// Names of the axes, in order: `x`, `y` and, of three, `z`.
+    /// Names of the axes, in order: `x`, `y` and, if there are three, `z`.
     pub fn axes(self) -> &'static [&'static str] {
         &AXES[..self.count()]
     }
@@ -45,7 +45,7 @@ impl Dimensions {
     }
 }
 
-/// Where something is, in metres along the axes of the map's frame.
+/// A place, in metres along the axes of the map's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Position {
     dimensions: Dimensions,
@@ -67,7 +67,7 @@ impl Position {
         self.dimensions
     }
 
-    /// Its coordinates in metres, by axis.
+    /// The coordinates in metres, by axis.
     pub fn coordinates(&self) -> &[f64] {
         &self.coordinates[..self.dimensions.count()]
     }

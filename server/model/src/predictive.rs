@@ -1,12 +1,12 @@
 //! The predictive distribution of a state of probabilities at one time: the one source of value, interval, entropy and
 //! information.
 //!
-//! p is the probability by the state's habits; how well it is known is counted in looks: p ~ Beta(vν, (1 - v)ν). M is
-//! the mean of the state over an hour, which an interval is about: of twelve readings of the hour, so many are 1 as the
-//! beta-binomial distribution says whose mean is v and whose dependence is that of the state's readings. All and
-//! nothing are probable by themselves, so an interval holds a mass of its own, which may be above the level. Invariant:
-//! the value lies strictly between 0 and 1; entropy and information are not negative; an interval contains the value
-//! and holds at least its level.
+//! p is the probability by the state's habits. Its uncertainty follows from the number ν of half-hour bins that support
+//! it: p ~ Beta(vν, (1 - v)ν). M is the mean of the state over an hour; an interval refers to M. The number of
+//! the hour's twelve readings that are 1 has a beta-binomial distribution with the mean v and the dependence of the
+//! state's readings. The means 0 and 1 have a probability of their own, so the mass of an interval may be above the
+//! level. Invariant: the value lies strictly between 0 and 1; entropy and information are not negative; an interval
+//! contains the value and holds at least its level.
 
 use crate::{entropy::entropy_bits, information::learning_bits, models::Interval, special::ln_gamma};
 
@@ -15,12 +15,12 @@ mod tests;
 
 /// Readings of an hour.
 const READINGS: usize = 12;
-/// The nearest that a value comes to 0 and 1.
+/// The least distance of a value from 0 and 1.
 const EDGE: f64 = 1e-6;
 /// Lower ends that are tried.
 const STEPS: usize = 60;
 
-/// A predicted probability with what it rests on.
+/// A predicted probability with its evidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Predictive {
     value: f64,
@@ -33,13 +33,13 @@ pub struct Predictive {
 pub struct HeldInterval {
     /// The interval.
     pub interval: Interval,
-    /// The probability that the mean of the hour lies in it: at least the level that was asked for.
+    /// The probability that the mean of the hour lies in the interval: at least the requested level.
     pub mass: f64,
 }
 
 impl Predictive {
-    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: for how many looks at this hour it stands,
-    /// at least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
+    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: the number of half-hour bins at this hour
+    /// that support it, at least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
     pub fn new(value: f64, looks: f64, dependence: f64) -> Predictive {
         let value = if value.is_nan() { 0.5 } else { value.clamp(EDGE, 1.0 - EDGE) };
         let looks = if looks.is_nan() { 0.0 } else { looks.max(0.0) };
@@ -52,7 +52,7 @@ impl Predictive {
         self.value
     }
 
-    /// For how many looks at this hour it stands.
+    /// The number of half-hour bins at this hour that support the value.
     pub fn looks(self) -> f64 {
         self.looks
     }
@@ -62,21 +62,21 @@ impl Predictive {
         entropy_bits(self.value)
     }
 
-    /// The mutual information of one look and the habit, in bits: what a look teaches of later ones.
+    /// The mutual information of one observation and the habit, in bits: its information about later observations.
     pub fn learning_bits(self) -> f64 {
         learning_bits(self.value, self.looks)
     }
 
     /// The share of a single reading's variance that the mean of an hour has.
     fn variance_share(self) -> f64 {
-        // As a state that relaxes to its habit, with this correlation after half an hour.
+        // The share of a state that relaxes to its habit, with this correlation after half an hour.
         let x = -2.0 * libm::log(self.dependence);
         let share = 2.0 * (x - 1.0 + libm::exp(-x)) / (x * x);
-        // What is not known of the habit is common to the whole hour.
+        // The uncertainty of the habit is common to the whole hour.
         share + (1.0 - share) / (1.0 + self.looks)
     }
 
-    /// The probability that so many of the hour's twelve readings are 1, from none to all.
+    /// The probabilities that none, one, … all of the hour's twelve readings are 1.
     fn masses(self) -> [f64; READINGS + 1] {
         let n = READINGS as f64;
         let dependence = ((n * self.variance_share() - 1.0) / (n - 1.0)).clamp(1e-4, 0.995);
@@ -103,8 +103,8 @@ impl Predictive {
 /// The distribution of the mean of an hour: atoms at 0 and 1, and a density between.
 struct HourMean {
     at_zero: f64,
-    /// Means between 0 and 1, ascending, the first 0 and the last 1, and the probability of at most each of them, which
-    /// leaves out the atom at 1.
+    /// The possible means, ascending from 0 to 1. `below` has the probability of at most each of them, without the atom
+    /// at 1.
     means: [f64; READINGS],
     below: [f64; READINGS],
 }
@@ -122,7 +122,7 @@ impl HourMean {
         HourMean { at_zero: masses[0], means, below }
     }
 
-    /// The probability of less than a mean above 0, or of at most one below 1.
+    /// The probability of less than `mean` if that is above 0, and of at most `mean` if it is below 1.
     fn below(&self, mean: f64) -> f64 {
         between(mean, &self.means, &self.below)
     }
@@ -147,7 +147,7 @@ impl HourMean {
             }
             consider(lower, if up_to <= inner { self.quantile(up_to).max(value) } else { 1.0 });
         }
-        // Up to 1, from as far as the level allows.
+        // The interval that ends at 1 and starts as high as the level allows.
         consider(self.quantile(1.0 - level).min(value), 1.0);
         let (lower, upper) = best;
         let mass =

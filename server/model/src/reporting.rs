@@ -1,13 +1,13 @@
-//! How a state is reported, and which readings its rows stand for.
+//! How a state is reported, and which readings its rows represent.
 //!
-//! A robot that looks at a door reports **samples**: each row is a reading. A door contact reports **changes**: a row
-//! says which value the door has from then on, and no row means that nothing changed. A button or a light barrier
-//! reports **events**: a row is one of them, and no row means that there was none. If changes were learned as samples,
-//! a door that is open from nine to five would be one that is open and closed equally often.
+//! A robot that observes a door reports **samples**: each row is a reading. A door contact reports **changes**: a row
+//! contains the value that the door has from then on, and no row means that nothing changed. A button or a light
+//! barrier reports **events**: a row is one event, and no row means that there was none. If changes were learned as
+//! samples, a door that is open from nine to five would count as open half of the time.
 //!
-//! Rows are stored as they come. What is learned is what the rows stand for, at instants that are a step apart: of
-//! changes the value that holds there, of events their number in each step, at its beginning. So the cost of storage
-//! follows change, and models need not know how a state is reported.
+//! Rows are stored as they come. The models learn the readings that the rows represent, at instants that are a step
+//! apart: for changes the value that holds at the instant, for events their number in each step, at its beginning. So
+//! the cost of storage follows change, and models need not know how a state is reported.
 //!
 //! Invariant: readings depend on the rows, their times and the horizon alone. Rows in order of time give the same
 //! readings, however they are divided over updates. No reading is later than the horizon.
@@ -28,14 +28,14 @@ pub use stated::{InvalidReporting, RowKind, StatedReporting};
 const STEP_SECS: std::ops::RangeInclusive<u32> = 1..=86_400;
 /// The longest time for which a value may hold without a row: a year and a day.
 const HOLD_MAX_SECS: u32 = 366 * 86_400;
-/// Most readings that one row stands for: 11 days at a step of a second, 366 days at one of 32 s.
+/// The greatest number of readings that one row represents: 11 days at a step of a second, 366 days at one of 32 s.
 const READINGS_PER_ROW: u32 = 1_000_000;
 
 /// A row: nanoseconds UTC, and the value from then on or the number of events; `None`: the sensor knows no value from
 /// then on.
 pub type Row = (i64, Option<f64>);
 
-/// How the rows of a state come about. It is fixed when the state is created.
+/// The origin of the rows of a state. It is fixed when the state is created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Reporting {
     /// Each row is a reading of the state at that time.
@@ -54,7 +54,7 @@ pub struct Hold {
     step_secs: u32,
 }
 
-/// Durations that no state can be reported with.
+/// The reason why durations are invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidHold {
     /// The step is too short or too long.
@@ -68,7 +68,7 @@ pub enum InvalidHold {
         /// The step, in seconds.
         step_secs: u32,
     },
-    /// One row would stand for too many readings.
+    /// One row would represent too many readings.
     #[error(
         "values that hold for {max_secs} s at most and are learned every {step_secs} s: one row would stand for {} \
          readings, the maximum is {READINGS_PER_ROW}; choose a longer step or a shorter hold",
@@ -83,12 +83,12 @@ pub enum InvalidHold {
 }
 
 impl Hold {
-    /// Of changes, if nothing else is said: values hold for a week, and are learned every five minutes.
+    /// The default of changes: values hold for a week, and are learned every five minutes.
     pub const OF_CHANGES: Hold = Hold { max_secs: 7 * 86_400, step_secs: 300 };
-    /// Of events, if nothing else is said: they are counted by the hour, and a week without one is no evidence.
+    /// The default of events: they are counted by the hour, and a week without one is no evidence.
     pub const OF_EVENTS: Hold = Hold { max_secs: 7 * 86_400, step_secs: 3_600 };
 
-    /// Rows hold for `max_secs` seconds at most, and are learned every `step_secs` seconds.
+    /// Makes rows hold for `max_secs` seconds at most, with a reading every `step_secs` seconds.
     ///
     /// # Errors
     /// [`InvalidHold`] where a duration is outside its range.
@@ -105,7 +105,7 @@ impl Hold {
         Ok(Hold { max_secs, step_secs })
     }
 
-    /// The longest time for which a row says something, in seconds.
+    /// The longest time for which a row holds, in seconds.
     pub fn max_secs(self) -> u32 {
         self.max_secs
     }
@@ -115,7 +115,7 @@ impl Hold {
         self.step_secs
     }
 
-    /// The longest time for which a row says something, in nanoseconds.
+    /// The longest time for which a row holds, in nanoseconds.
     pub fn max_nanos(self) -> i64 {
         i64::from(self.max_secs) * NANOS_PER_SEC
     }
@@ -143,7 +143,7 @@ impl Hold {
 }
 
 impl Reporting {
-    /// What its rows are.
+    /// The meaning of the rows.
     pub fn kind(self) -> RowKind {
         match self {
             Reporting::Samples => RowKind::Samples,
@@ -152,7 +152,7 @@ impl Reporting {
         }
     }
 
-    /// For how long rows hold; `None` of samples, which do not.
+    /// The time for which rows hold; `None` for samples, which do not hold.
     pub fn hold(self) -> Option<Hold> {
         match self {
             Reporting::Samples => None,
@@ -160,7 +160,7 @@ impl Reporting {
         }
     }
 
-    /// Number of readings that its rows stand for in a day, at most; 0 of samples.
+    /// The greatest number of readings that the rows of a day represent; 0 for samples.
     pub fn readings_a_day(self) -> u64 {
         self.hold().map_or(0, |hold| u64::from(86_400_u32.div_ceil(hold.step_secs)))
     }
@@ -169,12 +169,12 @@ impl Reporting {
         matches!(self, Reporting::Changes(_))
     }
 
-    /// Whether a row may say that no value is known from then on.
+    /// Whether a row may state that no value is known from then on.
     pub fn may_end(self) -> bool {
         self != Reporting::Samples
     }
 
-    /// The readings that all rows of a state stand for, in order of time. The rows ascend by time; the last of equal
+    /// The readings that all rows of a state represent, in order of time. The rows ascend by time; the last of equal
     /// times counts. `horizon_nanos`: no reading is at or after it. Samples are readings themselves.
     pub fn readings(self, rows: Vec<Row>, horizon_nanos: i64) -> RowReadings {
         LearnedRows::default().learn(self, rows, horizon_nanos).0

@@ -23,7 +23,7 @@ impl Sample {
         self.utc_nanos.saturating_add(i64::from(self.offset_secs) * NANOS_PER_SEC)
     }
 
-    /// The observation as a row of a state that reports changes or events; without a value: NaN.
+    /// The observation as a row of a state that reports changes or events; NaN means that there is no value.
     pub fn row(&self) -> Row {
         (self.utc_nanos, (!self.value.is_nan()).then_some(self.value))
     }

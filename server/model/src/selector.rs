@@ -1,6 +1,6 @@
-//! A model as a query names it: its kind and parameters, its order, and how the newest reading is blended in.
+//! A model as a query names it: its kind and parameters, its order, and its blend with the newest reading.
 //!
-//! Invariant: the answering model of a state depends on the query and on what the last update chose alone.
+//! Invariant: the model that predicts a state depends on the query and on the choice of the last update alone.
 
 pub use crate::catalogue::ModelKind;
 use crate::{ORDER_MAX, StateModel};
@@ -14,7 +14,7 @@ pub use name::InvalidModel;
 /// A model as a query names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ModelSelector {
-    /// Which model.
+    /// The kind of the model.
     pub kind: ModelKind,
     /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Ignored
     /// by kinds that have no order.
@@ -24,21 +24,21 @@ pub struct ModelSelector {
 }
 
 impl ModelSelector {
-    /// The model that a choice of an update stands for.
+    /// The selector of the model that an update chose.
     #[must_use]
     pub fn of_choice(kind: ModelKind, model: &StateModel) -> ModelSelector {
         let order = (kind == ModelKind::Spectral).then(|| model.order());
         ModelSelector { kind, order, ..ModelSelector::default() }
     }
 
-    /// The model that predicts this state: what the last update chose, if the query leaves the choice to it.
+    /// The model that predicts this state. If the query leaves the choice open, it is the choice of the last update.
     #[must_use]
     pub fn answering(self, model: &StateModel) -> ModelSelector {
         match (self.kind, self.order) {
             (ModelKind::Auto, None) => {
                 ModelSelector { blend: self.blend, ..ModelSelector::of_choice(model.answers(), model) }
             }
-            // A state that has no ensemble is predicted by what the last update chose.
+            // The choice of the last update predicts a state that has no ensemble.
             (ModelKind::Ensemble, _) if model.ensemble().is_none() => {
                 ModelSelector { kind: ModelKind::Auto, order: None, ..self }.answering(model)
             }
@@ -57,7 +57,7 @@ impl ModelSelector {
         }
     }
 
-    /// Whether it predicts from what the last update published alone, without newer values.
+    /// Whether the model predicts only from the data that the last update published, without newer values.
     pub fn is_of_generation(&self) -> bool {
         let is_plain = *self == ModelSelector { kind: self.kind, order: self.order, ..ModelSelector::default() };
         is_plain && matches!(self.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral)
@@ -90,7 +90,7 @@ impl ModelSelector {
         ModelSelector { blend: Blend::None, ..self }
     }
 
-    /// The requested order, or the one that the last update chose; at most [`ORDER_MAX`].
+    /// The requested order, or the order that the last update chose; at most [`ORDER_MAX`].
     #[must_use]
     #[inline]
     pub fn order_or(&self, chosen: usize) -> usize {

@@ -44,7 +44,7 @@ pub(crate) fn ln_rising(x: f64, steps: f64) -> f64 {
     ln_gamma(x + steps) - ln_gamma(x)
 }
 
-/// So many steps are multiplied: up to here this is faster.
+/// Up to this number of steps, the product is faster.
 const PRODUCT_STEPS: f64 = 12.0;
 
 /// The derivative of [`ln_gamma`] for `x` above 0; to 1e-10.
@@ -81,7 +81,8 @@ pub(crate) fn normal_upper_quantile(tail: f64) -> f64 {
     z.max(0.0)
 }
 
-/// How many standard deviations to both sides hold a normally distributed number with this probability, within (0, 1).
+/// The number of standard deviations to both sides that hold a normally distributed number with this probability,
+/// within (0, 1).
 pub fn normal_reach(level: f64) -> f64 {
     normal_upper_quantile((1.0 - level) / 2.0)
 }

@@ -1,7 +1,7 @@
 //! The spectral model of a state: its mean and its strongest periodic components.
 //!
-//! p(t) = ς(μ + Σ 2|γ_k| cos(ω_k t + arg γ_k)), ς saturating to `[0,1]`, γ_k = (A_k - μB_k)/n. T-RO eq.
-//! 10 and 11 differ in normalisation: this is the one whose prediction of a sine is that sine.
+//! p(t) = ς(μ + Σ 2|γ_k| cos(ω_k t + arg γ_k)), ς saturating to `[0,1]`, γ_k = (A_k - μB_k)/n. T-RO eq. 10 and 11
+//! differ in normalisation. With the normalisation here, the prediction of a sine is that sine.
 //! Invariant: components are finite, strongest first, at most [`ORDER_MAX`] of them.
 
 use crate::instruction_set::arch;
@@ -39,17 +39,17 @@ impl Default for SpectralModel {
 }
 
 impl SpectralModel {
-    /// The model of an accumulator: its mean and the [`ORDER_MAX`] strongest components; of those that are equal within
-    /// rounding the longest period first. A periodicity is eligible where the observed span (last less first, UTC)
-    /// holds 0.99 of its period; components of 0 are left out.
+    /// Trains the model of an accumulator: its mean and the [`ORDER_MAX`] strongest components. Of components that are
+    /// equal within rounding, the one with the longest period comes first. A periodicity is eligible if the observed
+    /// span (last less first, UTC) holds 0.99 of its period; components of 0 are omitted.
     pub fn train(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
         SpectralModel::train_with_gaps(accumulator, periodicities, &Gaps::default())
     }
 
-    /// [`SpectralModel::train`] where the gaps between the readings are known. The observed span counts with the median
-    /// gap added, since each reading stands for the time until the next: twelve monthly looks hold a year. A period
-    /// that the readings cannot tell from slower ones is not eligible: regular gaps are too long for it, or all
-    /// readings are in phase with less than twice that period, as those at the same hour of each day.
+    /// Does the same as [`SpectralModel::train`], with known gaps between the readings. The observed span has the
+    /// median gap added, since each reading represents the time until the next: twelve monthly readings hold a year. A
+    /// period that the readings cannot resolve from slower ones is not eligible: regular gaps are too long for it, or
+    /// all readings are in phase with less than twice that period, such as readings at the same hour of each day.
     pub fn train_with_gaps(accumulator: &Accumulator, periodicities: &Periodicities, gaps: &Gaps) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
@@ -87,7 +87,7 @@ impl SpectralModel {
     /// A model of a state of the given kind from stored parts: mean in its bounds, components strongest first.
     ///
     /// # Errors
-    /// As [`SpectralModel::from_parts`].
+    /// The errors of [`SpectralModel::from_parts`].
     pub fn from_parts_of(
         kind: StateKind,
         mean: f64,
@@ -108,7 +108,7 @@ impl SpectralModel {
         Ok(SpectralModel { mean, observations, components })
     }
 
-    /// Mean value μ, in `[0,1]` of a probability.
+    /// Mean value μ; it is in `[0,1]` for a probability.
     pub fn mean(&self) -> f64 {
         self.mean
     }
@@ -134,7 +134,7 @@ impl SpectralModel {
         self.sum(periodicities, order, civil_nanos).clamp(0.0, 1.0)
     }
 
-    /// The mean and the leading components at a time, not saturated.
+    /// The sum of the mean and the leading components at a time, not saturated.
     fn sum(&self, periodicities: &Periodicities, order: usize, civil_nanos: i64) -> f64 {
         let mut p = self.mean;
         for component in self.leading(order) {
@@ -147,9 +147,9 @@ impl SpectralModel {
         p
     }
 
-    /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of `out`; where `out`
-    /// is shorter, for the first times only. Fast if the table holds the components' periodicities, correct in any
-    /// case.
+    /// [`SpectralModel::predict`] at each time of a table, into the first `phasors.len()` places of `out`; if `out` is
+    /// shorter, for the first times only. It is fast if the table holds the components' periodicities, and correct in
+    /// any case.
     pub fn predict_into(&self, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(order, phasors, &mut terms) {

@@ -1,16 +1,18 @@
-//! Runs of observations that a model did not expect, kept as the model was before it learned them.
+//! Runs of observations that a model did not expect, with the prediction of the model before it learned them.
 //!
-//! An update learns a door that was left open, and later models find that usual. So each unusual observation is judged
-//! before it is learned, and what was unusual about it is kept here: not single observations, but runs of them on the
-//! same side of what was expected. A run begins with an unusual observation and goes on with all that were less likely
-//! than the contrary: the second night of an open door is less unusual, because the first was learned. A state keeps a
-//! bounded number of runs. If there are more, the weakest goes, where a run counts half as much for every month of age.
+//! An update learns the readings of a door that was left open, and later models predict the open door. So each unusual
+//! observation is judged before it is learned, and the result is kept here. The unit is not a single observation, but a
+//! run of observations on the same side of the prediction. A run begins with an unusual observation and continues with
+//! all that were less likely than the contrary: the second night of an open door is less unusual, because the first was
+//! learned. A state keeps a bounded number of runs. If there are more, the weakest is removed; a run counts half as
+//! much for every month of age.
 //!
-//! The surprise of a run is counted in looks, not in observations: of all observations of a half-hour only the first
-//! counts, so that a robot that stands at a door for an hour is not more surprised than one that looks in twice.
+//! The surprise of a run is counted in half-hour bins, not in observations: only the first observation of each
+//! half-hour counts. So a robot that stands at a door for an hour is not more surprised than a robot that observes it
+//! twice.
 //!
-//! Invariant: at most [`RUNS_MAX`] runs, ascending by their first time; the same observations in the same order give
-//! the same runs, whatever the updates between them.
+//! Invariant: at most [`RUNS_MAX`] runs, ascending by their first time; equal observations in the same order give the
+//! same runs, for any division into updates.
 
 use crate::InvalidParts;
 
@@ -19,15 +21,16 @@ mod tests;
 
 /// Maximum number of runs of a state.
 pub const RUNS_MAX: usize = 64;
-/// How certain a model must be of the contrary for an observation to be kept, or how far out a value must lie.
+/// The least certainty of a model about the contrary for an observation to be kept; for other values than
+/// probabilities, the confidence of the interval outside of which the value must lie.
 pub const KEPT_CONFIDENCE: f64 = 0.9;
-/// Observations of the same half-hour are one look, in nanoseconds.
+/// Length of a half-hour bin, whose observations count once, in nanoseconds.
 const LOOK_NANOS: i64 = 1_800_000_000_000;
-/// A run ends where nothing unusual is observed for longer, in nanoseconds: a day.
+/// A run ends after this time without an unusual observation, in nanoseconds: a day.
 const GAP_MAX_NANOS: i64 = 86_400_000_000_000;
 /// A run that is older by this much counts half, in seconds: thirty days.
 const HALF_LIFE_SECS: f64 = 30.0 * 86_400.0;
-/// The least probability that counts: ten bits a look. A model that is too certain does not outweigh all others.
+/// The least probability that counts: ten bits per bin. So a model that is too certain does not outweigh all others.
 const PROBABILITY_MIN: f64 = 1.0 / 1024.0;
 
 /// The surprise of an observation that had this probability, in bits: 0 to 10.
@@ -38,41 +41,41 @@ pub fn observed_bits(probability: f64) -> f64 {
 /// A run of observations that were not expected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurpriseRun {
-    /// Time of the first of them, nanoseconds UTC.
+    /// Time of the first observation, nanoseconds UTC.
     pub first_nanos: i64,
-    /// Time of the last that was less likely than the contrary, nanoseconds UTC.
+    /// Time of the last observation that was less likely than the contrary, nanoseconds UTC.
     pub last_nanos: i64,
-    /// How many were less likely than the contrary.
+    /// Number of observations that were less likely than the contrary.
     pub observations: u64,
-    /// Whether they lie above what was expected: open where closed was expected.
+    /// Whether the observations lie above the prediction: open where closed was expected.
     pub is_above: bool,
-    /// The value of the most surprising one, in the bounds of the state's kind.
+    /// The value of the most surprising observation, in the bounds of the state's kind.
     pub value: f64,
-    /// What the model said of it: for a probability, the probability of the value 1; for other kinds, the probability
-    /// of a value at least as far from the prediction, to either side. In `[0,1]`.
+    /// The model's prediction for `value`'s observation. For a probability: the probability of the value 1. For other
+    /// kinds: the probability of a value at least as far from the prediction, to either side. In `[0,1]`.
     pub probability: f64,
-    /// The probability of that value, which is the least of the run. In `[0,1]`.
+    /// The probability of `value`, the least of the run. In `[0,1]`.
     pub observed_probability: f64,
-    /// The surprise of all looks together, in bits; above 0.
+    /// The sum of the surprise of all bins, in bits; above 0.
     pub bits: f64,
 }
 
-/// An observation, and what a model that had not learned it said of it.
+/// An observation, and the prediction of a model that had not learned it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JudgedReading {
-    /// When, nanoseconds UTC.
+    /// Time of the observation, nanoseconds UTC.
     pub utc_nanos: i64,
-    /// What was observed.
+    /// The observed value.
     pub value: f64,
-    /// [`SurpriseRun::probability`] of it.
+    /// [`SurpriseRun::probability`] of the observation.
     pub probability: f64,
-    /// [`SurpriseRun::observed_probability`] of it.
+    /// [`SurpriseRun::observed_probability`] of the observation.
     pub observed_probability: f64,
-    /// Whether it lies above what was expected; of a probability, whether the value is 0.5 or more.
+    /// Whether the value lies above the prediction; for a probability, whether the value is 0.5 or more.
     pub is_above: bool,
-    /// Whether it was unusual.
+    /// Whether the observation was unusual.
     pub is_unusual: bool,
-    /// Whether it continues a run, because it was less likely than the contrary, or was unusual.
+    /// Whether the observation continues a run, because it was less likely than the contrary, or was unusual.
     pub is_unexpected: bool,
 }
 
@@ -80,7 +83,7 @@ pub struct JudgedReading {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surprises {
     runs: Vec<SurpriseRun>,
-    /// Whether the run with the newest observation goes on with the next unusual one.
+    /// Whether the run with the newest observation continues with the next unusual one.
     is_open: bool,
     dropped: u64,
 }
@@ -91,17 +94,17 @@ impl Surprises {
         &self.runs
     }
 
-    /// Whether the run with the newest observation goes on with the next unusual one on the same side.
+    /// Whether the run with the newest observation continues with the next unusual one on the same side.
     pub fn is_open(&self) -> bool {
         self.is_open
     }
 
-    /// Number of runs that had to make room.
+    /// Number of runs that were removed to make room.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// From stored parts.
+    /// Reads the runs from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where there are too many runs, or a number is outside its range.
@@ -124,7 +127,7 @@ impl Surprises {
         Ok(Surprises { runs, is_open, dropped })
     }
 
-    /// Takes an observation. One that is older than the newest unusual one is kept as a run of its own.
+    /// Adds an observation. An observation that is older than the newest unusual one is kept as a run of its own.
     pub fn observe(&mut self, reading: JudgedReading) {
         let newest = self.newest();
         let continued = newest.and_then(|index| self.runs.get_mut(index)).filter(|run| {
@@ -133,7 +136,7 @@ impl Surprises {
         });
         match continued {
             Some(run) if reading.is_unexpected => run.extend(reading),
-            // An expected observation on the same side ends nothing: the door is still open.
+            // An expected observation on the same side does not end the run: the door is still open.
             Some(_) => {}
             None if reading.is_unusual => self.begin(reading),
             None => {
@@ -179,7 +182,7 @@ impl Surprises {
         }
     }
 
-    /// The newest run stays: it may have only begun.
+    /// Removes the weakest run, but never the newest, because it may have only begun.
     fn drop_weakest(&mut self) {
         let Some(newest) = self.newest() else { return };
         let newest_nanos = self.runs[newest].last_nanos;

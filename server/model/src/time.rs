@@ -14,11 +14,11 @@ pub const NANOS_PER_SEC: i64 = 1_000_000_000;
 /// The shortest half-life: a tenth of a day.
 pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * NANOS_PER_SEC;
 
-/// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
-/// wait: they change nothing until an update whose cut has passed their time.
+/// The longest time after the clock of receipt at which an observation's time is plausible, in nanoseconds.
+/// Observations with a later time wait: they change nothing until an update whose cut has passed their time.
 pub const FUTURE_MAX_NANOS: i64 = 5 * 60 * NANOS_PER_SEC;
 
-/// Why a text is not a valid time.
+/// The reason why a text is not a valid time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidTime {
     /// Neither a number nor RFC 3339.
@@ -38,7 +38,7 @@ pub enum InvalidTime {
     TooFine(String),
 }
 
-/// Why a text is not a valid duration.
+/// The reason why a text is not a valid duration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidDuration {
     /// Not a number with a unit.
@@ -108,7 +108,7 @@ fn is_beyond_clock(text: &str, timestamp: jiff::Timestamp) -> bool {
     let (clock, offset) = clock.split_at(clock.find(['+', '-', 'Z', 'z']).unwrap_or(clock.len()));
     let offset_hours = offset.get(1..3).and_then(|hours| hours.parse::<u8>().ok()).unwrap_or(0);
     let has_second_60 = clock.split(':').nth(2).is_some_and(|seconds| seconds.starts_with("60"));
-    // Read as the second before; leap seconds are the last of a day in UTC.
+    // The second 60 is read as the second before. Leap seconds are the last of a day in UTC.
     let is_last_of_day = timestamp.as_second().rem_euclid(86_400) == 86_399;
     offset_hours > 23 || (has_second_60 && !is_last_of_day)
 }
@@ -126,7 +126,7 @@ pub fn format_secs(nanos: i64) -> String {
     text.trim_end_matches('0').to_owned()
 }
 
-/// RFC 3339 in UTC, for people.
+/// The time as RFC 3339 in UTC, for people.
 pub fn format_rfc3339(nanos: i64) -> String {
     jiff::Timestamp::from_nanosecond(i128::from(nanos)).map_or_else(|_| format_secs(nanos), |time| time.to_string())
 }

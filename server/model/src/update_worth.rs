@@ -1,15 +1,15 @@
-//! Whether an update is worth it: how much worse a model predicts what it has not learned than is usual for it.
+//! The expected gain of an update: the excess of a model's error on new readings over its usual error.
 //!
 //! T-RO 2017, section IV.A, lets the prediction error since the last update decide whether an update is needed:
 //!
 //! > ε_p = ε(τ', τ) = 1 / (τ − τ') ∫ |s'(t) − s(t)| dt over what was observed after the last update τ'.
 //!
-//! Here it is the mean over the pending readings v of the squared error (p − v)², by the model that answers, and beside
-//! it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before they were learned,
-//! as the change alarm keeps it. Their difference is the gain, if it is above 0: a state that is as
-//! uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance of its values,
-//! so that those of all states may be added. Nothing is usual of a state that no update has predicted yet: all of its
-//! error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.
+//! Here it is the mean squared error (p − v)² over the pending readings v, by the model that predicts the state. It is
+//! compared with the usual error: the mean squared error of days of that kind, weekdays or weekend, before they were
+//! learned, from the change alarm. The difference is the gain, if it is above 0: a state that is as uncertain as before
+//! has no gain. Errors of a state that is not a probability are divided by the variance of its values, so that the
+//! errors of all states may be added. A state that no update has predicted yet has no usual error, so all of its error
+//! counts as gain. Limit: the gain is 0 for a state whose readings have become easier to predict.
 //!
 //! Invariant: all sums are finite and not negative. A judgement changes nothing.
 
@@ -19,22 +19,23 @@ use crate::{Periodicities, Sample, StateKind, StateModel, models::TemporalModel 
 #[cfg(test)]
 mod tests;
 
-/// What learning the pending readings of one or more states is expected to gain.
+/// The expected gain from learning the pending readings of one or more states.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct UpdateWorth {
     /// Number of pending readings that were judged.
     pub readings: u64,
-    /// Sum over them of the squared error, for probabilities 0 to 1 each; for other kinds in variances of the state.
+    /// Sum of the squared errors of the readings: 0 to 1 each for probabilities; for other kinds in variances of the
+    /// state.
     pub squared_error: f64,
-    /// Sum over them of the squared error that is usual for their state and kind of day, in the same unit.
+    /// Sum of the squared errors that are usual for their state and kind of day, in the same unit.
     pub usual_squared_error: f64,
-    /// Sum over the states of the error above what is usual, in the same unit.
+    /// Sum over the states of the error above the usual error, in the same unit.
     pub squared_error_above_usual: f64,
 }
 
 impl UpdateWorth {
-    /// Judges pending readings of a state. `None` where errors have no unit: nothing is learned of a state that is not
-    /// a probability, or all its values were equal. `periodicities` are those of its map.
+    /// Judges pending readings of a state. `None` if errors have no unit: the state is not a probability, and it has no
+    /// learned data or all its values were equal. `periodicities` are those of its map.
     #[must_use]
     pub fn of_state(model: &StateModel, periodicities: &Periodicities, pending: &[Sample]) -> Option<UpdateWorth> {
         let kind = model.kind();
@@ -56,7 +57,7 @@ impl UpdateWorth {
         })
     }
 
-    /// Adds what is expected of another state.
+    /// Adds the expected gain of another state.
     pub fn add(&mut self, other: &UpdateWorth) {
         let add = |sum: &mut f64, more: f64| *sum = (*sum + more).min(f64::MAX);
         self.readings += other.readings;
@@ -71,7 +72,7 @@ impl UpdateWorth {
         self.mean(self.squared_error)
     }
 
-    /// Mean squared error that is usual; 0 without readings.
+    /// Mean squared error that is usual for the readings; 0 without readings.
     #[must_use]
     pub fn usual_error(&self) -> f64 {
         self.mean(self.usual_squared_error)

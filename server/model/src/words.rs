@@ -1,4 +1,4 @@
-//! Words that everybody uses for values: what a door contact or a lamp is said to be.
+//! Common words for values, such as the words for the values of a door contact or a lamp.
 //!
 //! Invariant: words are in lower case, and a word has one meaning.
 
@@ -8,7 +8,7 @@ pub const ONES: [&str; 12] =
 /// Words for 0.
 pub const ZEROS: [&str; 12] =
     ["off", "closed", "close", "false", "no", "clear", "free", "not_home", "inactive", "away", "released", "absent"];
-/// Words of a sensor that knows no value.
+/// Words for a sensor without a value.
 pub const NO_VALUE: [&str; 9] = ["", "unavailable", "unknown", "none", "null", "nan", "na", "n/a", "offline"];
 
 #[cfg(test)]

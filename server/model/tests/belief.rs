@@ -1,5 +1,5 @@
-//! What the newest readings say, on recordings: features of a room that come and go while a detector errs, and the
-//! office door. Skipped without the recordings.
+//! Tests predictions from the newest readings, on recordings: features of a room that come and go while a detector
+//! errs, and the office door. They are skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -36,7 +36,7 @@ fn rows(text: &str, state: &str) -> Vec<Sample> {
     text.lines().skip(1).filter_map(row).collect()
 }
 
-/// Share of right answers, and mean squared error.
+/// Share of right predictions, and mean squared error.
 #[derive(Clone, Copy, Debug, Default)]
 struct Score {
     count: f64,
@@ -52,7 +52,7 @@ impl Score {
     }
 }
 
-/// The scores of a feature of the room, learned from one recording and asked in another, by seconds ahead.
+/// The scores of a feature of the room, learned from one recording and tested on another, by lead time in seconds.
 fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
     let periodicities = Periodicities::default();
     let mut model = StateModel::new(&periodicities);

@@ -1,5 +1,5 @@
-//! The calibrated model on the office door of RA-L 2019: the choice of its defaults, and its error on held-out weeks.
-//! Skipped without the recordings.
+//! Tests the calibrated model on the office door of RA-L 2019: the choice of its defaults, and its error on held-out
+//! weeks. They are skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -79,12 +79,12 @@ fn fremen(samples: &[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     Box::new(move |at| model.predict(&periodicities, ORDER_MAX, at.civil_nanos()))
 }
 
-/// Errors by rolling origin: from the third week on, train on all weeks so far, predict the next and the following
-/// ones.
+/// Errors by rolling origin: from the third week on, the model trains on all weeks so far, and predicts the next and
+/// the following weeks.
 struct Rolling {
-    /// Of the next week, per origin.
+    /// Errors of the next week, per origin.
     next: Vec<f64>,
-    /// Of the second to the fifth week ahead, for all origins.
+    /// Errors at a lead time of two to five weeks, for all origins.
     later: Vec<f64>,
 }
 
@@ -99,7 +99,8 @@ impl Rolling {
         rolling
     }
 
-    /// The criterion of the settings: the mean of both errors, of a map updated every week and of one that is not.
+    /// The criterion of the settings: the mean of both errors, those of a map that is updated every week and those of a
+    /// map that is not.
     fn score(&self) -> f64 {
         0.5 * (mean(&self.next) + mean(&self.later))
     }
@@ -162,8 +163,8 @@ fn the_defaults_come_from_rolling_origin_on_the_training_weeks() {
             options.memory_days, options.caution, options.day_of_week_caution, options.smoothing_secs
         ));
     }
-    // Of the good settings the one with the fewest assumptions: the longest memory, then the least caution, then the
-    // broadest smoothing. More caution than tried would suppress the data of two weeks.
+    // Of the good settings, the test chooses the one with the fewest assumptions: the longest memory, then the least
+    // caution, then the broadest smoothing. More caution than tried would suppress the data of two weeks.
     let (chosen, rolling) = tried
         .iter()
         .filter(|(_, rolling)| good(rolling))

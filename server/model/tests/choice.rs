@@ -1,7 +1,7 @@
-//! What answers after short records: the models that were chosen by their errors, against the best of all on days that
-//! none has seen.
+//! Tests the model that predicts after short records: the models that were chosen by their errors, against the best of
+//! all on days that none was trained on.
 //!
-//! Invariant: everything is drawn from seeds, so that every run sees the same days.
+//! Invariant: everything is drawn from seeds, so that every run has the same days.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,7 +15,7 @@ use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, Sample, StateKind,
 
 const DAY_SECS: i64 = 86_400;
 
-/// The door's training data. Skipped without the recordings.
+/// The door's training data; `None` without the recordings, and then the test is skipped.
 fn train() -> Option<Vec<Sample>> {
     let file = recordings("door")?.join("train.csv");
     let mut offsets = Zone::named("Europe/London").unwrap().offset_cache();
@@ -57,8 +57,8 @@ fn mse(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
         / samples.len() as f64
 }
 
-/// Errors on new days: of what answers, and of each model that may answer: the spectral one with the order in force,
-/// the histograms, and the models that were trained.
+/// Errors on new days: of the model that predicts, and of each model that may predict: the spectral one with the order
+/// in force, the histograms, and the models that were trained.
 fn errors(state: &StateModel, test: &[Sample]) -> (f64, Vec<f64>) {
     let (week, known) = (Periodicities::default(), state.alternatives().unwrap());
     let spectral = mse(&Spectral(state, &week, state.order()), test);
@@ -71,7 +71,7 @@ fn errors(state: &StateModel, test: &[Sample]) -> (f64, Vec<f64>) {
     (state.chosen(&week).map_or(spectral, |chosen| mse(&chosen, test)), members)
 }
 
-/// The error of what answers over that of the best model, each the mean over records.
+/// The error of the model that predicts over that of the best model, each the mean over records.
 fn ratio(found: &[(f64, Vec<f64>)]) -> f64 {
     let sum = |member: usize| found.iter().map(|(_, members)| members[member]).sum::<f64>();
     let best = (0..found[0].1.len()).map(sum).fold(f64::INFINITY, f64::min);
@@ -92,7 +92,7 @@ fn one_week_of_a_door_chooses_among_all_for_the_next_week() {
     };
     let (one, two) = (after(1), after(2));
     println!("error over that of the best model: {one:.4} after a week, {two:.4} after two");
-    // With the best alone, calibrated from the eighth day on, 1.195 and 1.049.
+    // With the best model alone, calibrated from the eighth day on, the ratios are 1.195 and 1.049.
     assert!(one <= 1.03 && two <= 1.04, "{one:.4} {two:.4}");
 }
 
@@ -116,8 +116,8 @@ fn poisson(mean: f64, seed: i64) -> f64 {
     }
 }
 
-/// People counted at a time, Unix seconds: smooth by day, few by day, at rush hours, with days of different levels, or
-/// at no special time.
+/// Number of people at a time, Unix seconds: smooth by day, few by day, at rush hours, with days of different levels,
+/// or at no special time.
 fn people(truth: usize, secs: i64, seed: i64) -> f64 {
     let (hour, day) = (secs.rem_euclid(DAY_SECS) as f64 / 3600.0, secs.div_euclid(DAY_SECS));
     let wave = 1.0 - (std::f64::consts::TAU * (hour - 2.0) / 24.0).cos();

@@ -1,5 +1,5 @@
-//! The classic models on recordings: the office door and the robot's speed of RA-L 2019. The expected figures come from
-//! an independent implementation. Skipped without the recordings.
+//! Tests the classic models on recordings: the office door and the robot's speed of RA-L 2019. The expected figures
+//! come from an independent implementation. The tests are skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -52,7 +52,7 @@ fn mse(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
     errors.mse()
 }
 
-/// Mean over the weeks of the mean squared error of each.
+/// Mean over the weeks of the mean squared error of each week.
 fn weekly_mse(model: &impl TemporalModel, weeks: &[Vec<Sample>]) -> f64 {
     weeks.iter().map(|week| mse(model, week)).sum::<f64>() / weeks.len() as f64
 }
@@ -81,7 +81,7 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
     println!("latest: {:.5}", weekly_mse(&Latest::train(readings).unwrap(), &weeks));
     let chain = MarkovChain::train(readings).unwrap();
     println!("chain: {:.5}, {:?}, π {:.4}", weekly_mse(&chain, &weeks), chain.to_parts(), chain.stationary());
-    // Half a day ahead and more, a chain equals the mean.
+    // At a lead time of half a day and more, a chain equals the mean.
     check("chain", weekly_mse(&chain, &weeks), 0.0856, 0.001);
 }
 
@@ -104,9 +104,9 @@ fn the_chain_predicts_the_next_minutes_of_the_door() {
     }
 }
 
-/// The reference has 0.01682 for the mean, which is that of a mean of 0.45, and 0.02022 for Hist_24, which is that of
-/// 0.5 in bins without readings (6 of the 101 rows). Here the mean is 0.45046 and an empty bin predicts it. The
-/// recordings lie in summer time, a whole hour off UTC, so the zone does not matter.
+/// The reference has 0.01682 for the mean, which is the error of a mean of 0.45, and 0.02022 for Hist_24, which is the
+/// error with 0.5 in bins without readings (6 of the 101 rows). Here the mean is 0.45046 and an empty bin predicts it.
+/// The recordings lie in summer time, a whole hour off UTC, so the zone does not matter.
 #[test]
 fn the_speed_is_predicted_as_well_as_by_the_reference() {
     let Some(folder) = recordings("velocity") else { return };
@@ -191,7 +191,7 @@ fn a_week_of_the_door_is_compressed_without_loss() {
     }
 }
 
-/// The errors of the door that the change alarm receives: those of the chosen model, on days not yet learned.
+/// The errors of the door that the change alarm receives: those of the chosen model, on days that are not yet learned.
 fn daily_errors(samples: &[Sample]) -> Vec<(LocalDay, f64, u64)> {
     let week = Periodicities::default();
     let rules = UpdateRules { models: EnabledModels::default().without_ensemble(), ..UpdateRules::default() };
@@ -219,7 +219,7 @@ fn the_alarm_keeps_quiet_over_the_door_and_rings_when_its_nights_become_days() {
     };
     let all: Vec<Sample> = train.iter().chain(weeks.iter().flatten()).copied().collect();
     assert_eq!(rang(&all), None);
-    // From the first test week on the door is open when it was closed, on workdays: from midnight to eight.
+    // From the first test week on, the door is open when it was closed, on workdays: from midnight to eight.
     let change = weeks[0][0].local_day();
     let mut changed = all;
     for sample in changed.iter_mut().filter(|sample| sample.local_day() >= change) {

@@ -1,5 +1,5 @@
-//! The office door of RA-L 2019: ten weeks to learn from, four to predict. The expected figures come from an
-//! independent implementation. Skipped without the recordings.
+//! Tests on the office door of RA-L 2019: ten weeks to learn from, four to predict. The expected figures come from an
+//! independent implementation. The tests are skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -101,7 +101,7 @@ fn next_day_errors(days: &[Vec<Sample>], mut next_order: impl FnMut(LocalDay, &S
 }
 
 /// Mean squared errors of the next day, from the fifteenth day on, over observations: of the best order, and of the
-/// model in force. Without `is_trained` the calibrated model is never trained.
+/// model in force. If `is_trained` is false, the calibrated model is never trained.
 fn next_day_in_force(samples: &[Sample], is_trained: bool) -> (f64, f64, StateModel) {
     let week = Periodicities::default();
     let mut state = StateModel::new(&week);
@@ -148,7 +148,7 @@ fn the_chosen_order_predicts_the_next_day() {
         samples.chunk_by(|a, b| a.local_day() == b.local_day()).map(<[Sample]>::to_vec).collect();
 
     let (by_day, by_observation) = next_day_errors(&days, |_, state| state.order());
-    // The rule without memory: the order that was best on the last day alone.
+    // The rule without memory chooses the order that was best on the last day alone.
     let mut earlier = OrderErrors::default();
     let (last_day_alone, _) = next_day_errors(&days, |_, state| {
         let faded = earlier

@@ -1,5 +1,5 @@
-//! What an ensemble claims against what was seen, on simulated states: seasons, few looks, hours that nobody looked at,
-//! readings in bursts, rotations, noise.
+//! Tests the predictions of an ensemble against observations, on simulated states: seasons, few bins, hours without any
+//! observation, readings in bursts, rotations, noise.
 //!
 //! Every number is drawn from a fixed sequence, so a test that passes once passes always.
 
@@ -101,7 +101,8 @@ fn twelve_monthly_looks_tell_the_year() {
 
 #[test]
 fn readings_once_a_second_teach_no_more_certainty_than_once_in_ten_minutes() {
-    // Somebody is in by day with 80 %, for some 40 minutes at a time; one visit of an hour a day, at another hour each.
+    // The office is occupied by day with 80 %, for some 40 minutes at a time; one visit of an hour a day, at another
+    // hour each.
     let office = |random: &mut Random, days: i64| -> Vec<f64> {
         let mut is_in = false;
         let minute = |minute: i64| {
@@ -154,7 +155,7 @@ fn hours_that_nobody_looked_at_stay_unknown() {
         }
     }
     assert!(value(&state, 42, 8 * HOUR_SECS) < 0.05 && value(&state, 42, 12 * HOUR_SECS) > 0.95);
-    // A robot that works from 8 to 18 does not know Sunday at three.
+    // A robot that works from 8 to 18 has no data about Sunday at three.
     let state = learned(21, |day| {
         let open = |hour: i64| flag(day % 7 < 5 && (9..13).contains(&hour));
         (8..18).map(|hour| (hour * HOUR_SECS, open(hour))).collect()
@@ -219,7 +220,7 @@ fn a_few_daily_looks_make_no_swings() {
 
 #[test]
 fn one_odd_day_leaves_the_other_hours_sure() {
-    // Open from 8 to 18 h; on the last day it was the other way round.
+    // The door is open from 8 to 18 h; on the last day it was the other way round.
     let state =
         learned(57, |day| (0..48).map(|slot| (slot * 1800, flag((16..36).contains(&slot) != (day == 56)))).collect());
     let (open, shut) = (value(&state, 57, 12 * HOUR_SECS), value(&state, 57, 2 * HOUR_SECS));
@@ -247,7 +248,7 @@ fn a_long_exception_does_not_turn_the_next_days_around() {
                 let [night, noon] = [3, 12].map(|hour| value(&state, day, hour * HOUR_SECS));
                 let case = format!("{weeks} weeks, {hours} h at {held}, {} days later: {night} {noon}", day - end);
                 assert!(night < noon, "{case}");
-                // Left open from Friday to Monday.
+                // The door was left open from Friday to Monday.
                 assert!((from_day, held) != (4, 1.0) || (night < 0.3 && noon > 0.7), "{case}");
             }
         }
@@ -256,7 +257,7 @@ fn a_long_exception_does_not_turn_the_next_days_around() {
 
 #[test]
 fn a_record_in_one_update_is_learned_as_night_by_night() {
-    // Without models that are trained on readings, whose training has its own days.
+    // The run has no models that are trained on readings, whose training has its own days.
     let periodicities = Periodicities::default();
     let models = EnabledModels::SPECTRAL.with_histograms(true).with(ModelKind::Ensemble);
     let rules = UpdateRules { models, ..UpdateRules::default() };

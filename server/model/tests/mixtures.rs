@@ -1,5 +1,5 @@
-//! The mixture models on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are loose; the
-//! figures are printed. Skipped without the recordings.
+//! Tests the mixture models on the recordings of RA-L 2019: an office door and a robot's speed. The bounds are loose;
+//! the figures are printed. The tests are skipped without the recordings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ use tidemap_model::models::{
 };
 use tidemap_model::{Periodicities, Sample, Zone};
 
-/// Rows of a time in Unix seconds and, after the last separator, a value; as observed in London.
+/// Reads rows of a time in Unix seconds and, after the last separator, a value; as observed in London.
 fn read(path: &Path, header_rows: usize) -> Vec<Sample> {
     let mut offsets = Zone::named("Europe/London").unwrap().offset_cache();
     let text = std::fs::read_to_string(path).unwrap();
@@ -100,7 +100,7 @@ fn hypertime_knows_the_door_by_day_and_week_whatever_the_seed() {
         let errors = [0, 1, 2].map(|seed| door_by_hypertime(&door, &HypertimeOptions { method, clusters, seed }));
         let (lowest, highest) =
             errors.iter().fold((1.0_f64, 0.0_f64), |(lowest, highest), &e| (lowest.min(e), highest.max(e)));
-        // Published, on the authors' own nine weeks: HyT-EM_1 0.0660, HyT-EM_3 0.0666.
+        // The published values, on the authors' own nine weeks: HyT-EM_1 0.0660, HyT-EM_3 0.0666.
         assert!(highest < 0.066 && highest - lowest < 0.004, "{clusters}: {errors:?}");
     }
 }

@@ -1,8 +1,7 @@
-//! What answers for continuous values and counts: simulated temperatures and numbers of people, day by day.
+//! Tests the predictions of continuous values and counts: simulated temperatures and numbers of people, day by day.
 //!
-//! Each state is looked at every half-hour and learned every night, as the daemon does it; the hidden values of the
-//! next day are then compared with what it said. Invariant: everything is drawn from seeds, so that every run sees the
-//! same days.
+//! Each state is read every half-hour and learned every night, as in the daemon; the hidden values of the next day are
+//! then compared with the predictions. Invariant: everything is drawn from seeds, so that every run has the same days.
 
 #![allow(clippy::unwrap_used)]
 
@@ -38,7 +37,7 @@ impl Random {
         radius * (TAU * self.uniform()).cos()
     }
 
-    /// Of a whole shape and mean 1.
+    /// A Gamma variable of a whole shape and mean 1.
     fn gamma(&mut self, shape: u32) -> f64 {
         (0..shape).map(|_| -(1.0 - self.uniform()).ln()).sum::<f64>() / f64::from(shape)
     }
@@ -57,11 +56,11 @@ impl Random {
 struct World {
     kind: StateKind,
     values: Vec<f64>,
-    /// The first step that is looked at; then every third.
+    /// The first step that is read; then every third.
     first: usize,
 }
 
-/// By season and hour, with weather that changes within two days.
+/// The temperature by season and hour, with weather that changes within two days.
 fn temperature(days: usize, seed: u64) -> World {
     let mut random = Random(seed * 7919 + 17);
     let mut weather = 0.0;
@@ -108,14 +107,14 @@ impl World {
 #[derive(Debug, Default)]
 struct Errors {
     auto: f64,
-    /// Tables by hour of the week, by hour of weekdays or the weekend, the former with a half-life of 21 days; the same
-    /// hour a week before, and a day before.
+    /// Errors of tables by hour of the week, by hour of weekdays or the weekend, and by hour of the week with a
+    /// half-life of 21 days; of the value of the same hour a week before, and a day before.
     baselines: [f64; 5],
     /// Shares of hours whose mean lay within one and two standard deviations.
     held: [f64; 2],
 }
 
-/// Learns night by night, and compares some days with what was said `ahead` days before them.
+/// Learns night by night, and compares some days with the predictions made `ahead` days before them.
 fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead: usize) -> Errors {
     let periodicities = Periodicities::default();
     let rules = UpdateRules { models, ..UpdateRules::default() };
@@ -191,7 +190,7 @@ fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead
     errors
 }
 
-/// A machine that runs in shifts of two or three days, 14 days in all; what it draws by day.
+/// A machine that runs in shifts of two or three days, 14 days in all; the value is the power that it draws by day.
 fn shifts(days: usize, seed: u64) -> World {
     const IS_ON: [bool; 14] =
         [true, true, false, false, true, true, true, false, false, true, true, false, false, false];
@@ -228,7 +227,7 @@ impl Errors {
 fn a_temperature_is_predicted_better_than_by_yesterday() {
     let [auto, single] = both(temperature, 91..153, 1);
     assert!(auto.auto <= 1.6 && auto.auto < 0.7 * auto.best_baseline() && auto.auto < single.auto, "{auto:?}");
-    // About as often as a normal distribution.
+    // The shares are about those of a normal distribution.
     let [one, two] = auto.held;
     assert!((0.6..0.85).contains(&one) && two > 0.93, "{auto:?}");
 }
@@ -257,7 +256,7 @@ fn far_ahead_it_claims_less() {
         assert!(auto.held[0] > 0.6 && auto.held[1] > 0.9, "{ahead} days ahead: {auto:?}");
         last = auto.auto;
     }
-    // A quarter ahead, across a season that it has not seen.
+    // The lead time is a quarter of a year, across a season that was not observed.
     let [auto, single] = both(temperature, 200..240, 91);
     assert!(auto.auto < single.auto && auto.held[1] > 0.9, "{auto:?} {single:?}");
 }
@@ -271,7 +270,7 @@ fn shifts_are_known_up_to_a_week_ahead() {
     }
 }
 
-/// Looks that are pure noise, one a day.
+/// Half-hour bins that are pure noise, one a day.
 fn noise(looks: usize, at_any_hour: bool, seed: u64) -> Vec<Sample> {
     let mut random = Random(seed * 7919 + looks as u64 * 31);
     let look = |day: usize| {
@@ -303,12 +302,12 @@ fn noise_is_hardly_worse_than_its_mean() {
     }
 }
 
-/// Looks of a temperature on some of its days, in another unit.
+/// Learns the half-hour bins of a temperature on some of its days, in another unit.
 fn learned(world: &World, days: std::ops::Range<usize>, batch: usize, unit: impl Fn(f64) -> f64) -> StateModel {
     let models = EnabledModels::SPECTRAL.with_histograms(true).with(ModelKind::Ensemble);
     let rules = UpdateRules { models, ..UpdateRules::default() };
     let mut state = StateModel::of_kind(StateKind::Continuous);
-    // On every eleventh day nobody looks.
+    // On every eleventh day there is no reading.
     let days: Vec<usize> = days.filter(|day| day % 11 != 3).collect();
     for batch in days.chunks(batch) {
         let looks = batch.iter().flat_map(|&day| world.looks(day));
@@ -352,7 +351,8 @@ fn a_stored_ensemble_is_the_same() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// Days with and without looks, the next days and those far ahead: in another unit all is the same.
+    /// Compares days with and without readings, the next days and days with a long lead time: the results do not depend
+    /// on the unit.
     #[test]
     fn the_unit_does_not_matter(seed in 0_u64..50, days in 1_usize..60, power in -6_i32..7, shift in -50.0..50.0_f64) {
         let world = temperature(60, seed);
@@ -377,7 +377,7 @@ proptest! {
         }
     }
 
-    /// Whatever is observed, predictions and widths are finite.
+    /// For any observations, predictions and widths are finite.
     #[test]
     fn any_values_are_taken(
         values in prop::collection::vec((0_i64..200, -1e12..1e12_f64), 1..60),

@@ -1,6 +1,6 @@
-//! Simulated rhythms and noise: what is learned when, and how often noise is taken for a rhythm.
+//! Tests on simulated rhythms and noise: when each rhythm is learned, and how often noise counts as a rhythm.
 //!
-//! Each state is updated day by day, as the daemon does it. Invariant: everything is drawn from seeds.
+//! Each state is updated day by day, as in the daemon. Invariant: everything is drawn from seeds.
 
 #![allow(clippy::unwrap_used)]
 
@@ -39,7 +39,7 @@ fn learned_by(
     state
 }
 
-/// The share of readings on whose side of 0.5 the model in force is not.
+/// The share of readings that lie on the other side of 0.5 than the prediction of the model in force.
 fn wrong(periodicities: &Periodicities, state: &StateModel, samples: &[Sample]) -> f64 {
     let chosen = state.chosen(periodicities);
     let predict = |sample: &Sample| match &chosen {
@@ -55,7 +55,7 @@ fn weekdays_open_and_weekends_shut_are_known_by_the_fourth_week() {
     let week = Periodicities::default();
     let mut weeks = Vec::new();
     for start in 0..14 {
-        // From each day of the week on, at midnight and at noon.
+        // The readings begin on each day of the week, at midnight and at noon.
         let minutes = (0..).map(|step| start * DAY_MINUTES / 2 + step * 30);
         let samples: Vec<Sample> =
             minutes.take(6 * 336).map(|minute| sample(minute, minute / DAY_MINUTES % 7 < 5)).collect();
@@ -71,7 +71,7 @@ fn weekdays_open_and_weekends_shut_are_known_by_the_fourth_week() {
 fn a_yearly_state_is_known_after_two_years() {
     let year = year();
     for start in [0, 60, 120, 180, 240, 300] {
-        // Eight readings a day: 6,400.
+        // There are eight readings a day: 6,400 in all.
         let minutes = every(180, 800);
         let value = |minute: i64| (minute / DAY_MINUTES + start) % 365 < 182;
         let samples: Vec<Sample> = minutes.into_iter().map(|minute| sample(minute, value(minute))).collect();
@@ -102,9 +102,9 @@ fn twelve_monthly_looks_find_a_year() {
         .collect();
     let state = learned(&list, EnabledModels::SPECTRAL, &looks);
     assert_eq!(state.spectral().components()[0].periodicity, 0, "{:?}", state.spectral());
-    // Nothing is faster than monthly looks can tell.
+    // No component is faster than monthly readings can resolve.
     assert!(state.spectral().components().iter().all(|component| component.periodicity <= 2), "{:?}", state.spectral());
-    // Eleven are too few.
+    // Eleven readings are too few.
     let state = learned(&list, EnabledModels::SPECTRAL, &looks[..11]);
     assert!(state.spectral().components().iter().all(|component| component.periodicity != 0));
 }
@@ -119,7 +119,7 @@ fn readings_every_twelve_hours_find_the_week() {
     assert_eq!(components[0].periodicity, 0, "{components:?}");
     assert!(components.iter().all(|component| component.periodicity < 7), "{components:?}");
     assert!(state.order() >= 1);
-    // Two weeks later, at hours that were never observed: three of four days at least are on the right side.
+    // Two weeks later, at hours that were never observed, at least three of four days are on the right side.
     let later: Vec<Sample> = (0..7 * 24)
         .map(|hour| {
             let minute = 10 * 7 * DAY_MINUTES + hour * 60;
@@ -140,7 +140,7 @@ fn a_square_wave_of_values_has_its_rhythm() {
     assert_eq!(state.spectral().components()[0].periodicity, 6, "{:?}", state.spectral());
 }
 
-/// A two-state chain that stays at 0 and at 1 for these mean minutes, at rising minutes.
+/// A two-state chain that stays at 0 and at 1 for these mean times in minutes, at rising minutes.
 fn chain(random: &mut SmallRng, means: [f64; 2], minutes: Vec<i64>) -> Vec<Sample> {
     let stay = |random: &mut SmallRng, mean: f64| -mean * (1.0 - random.random::<f64>()).ln();
     let mut is_high = random.random::<f64>() < means[1] / (means[0] + means[1]);
@@ -213,7 +213,7 @@ const NOISES: [Noise; 15] = [
     ("visits, 8 weeks", |random| visits(random, 56)),
 ];
 
-/// Per kind of noise, the number of states of which a rhythm is used.
+/// For each kind of noise, the number of states for which a rhythm is used.
 fn false_rhythms(states: u64) -> Vec<(&'static str, u64)> {
     let week = Periodicities::default();
     let count = |(name, noise): Noise| {

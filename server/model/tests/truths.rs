@@ -1,8 +1,8 @@
-//! Simulated truths: the nightly choice on states with a known routine, with every model enabled.
+//! Tests on simulated truths: the nightly choice on states with a known routine, with every model enabled.
 //!
-//! Each state is driven day by day as the daemon does it: an update after each day, and models trained on the readings
-//! of the last twelve weeks when they are due. The result is the error of the model in force on each day, which has not
-//! seen that day. Invariant: everything is drawn from seeds, so that every run sees the same days.
+//! Each state is updated day by day, as in the daemon: an update after each day, and models trained on the readings of
+//! the last twelve weeks when they are due. The result is the error of the model in force on each day, before it learns
+//! that day. Invariant: everything is drawn from seeds, so that every run has the same days.
 
 #![allow(clippy::unwrap_used)]
 
@@ -82,7 +82,7 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
         run.days.push(report(&before, &outcome.squared_errors, outcome.squared_error_in_force, &today));
         seen.extend(today);
         seen.drain(..seen.len().saturating_sub((TRAINING_DAYS * SLOTS) as usize));
-        // As in the daemon: after a change, the old routine is not used.
+        // The daemon does the same: after a change, the old routine is not used.
         let since = run.state.alternatives().and_then(|known| known.training_since());
         seen.retain(|sample: &Sample| since.is_none_or(|since| sample.local_day() >= since));
         for model_kind in TRAINED_AT_NIGHT {
@@ -153,7 +153,7 @@ impl Run {
         }
     }
 
-    /// From the first week on the mean was in force, on all days.
+    /// Asserts that from the first week on the mean was in force, on all days.
     fn assert_mean(&self) {
         for (number, day) in self.days.iter().enumerate().skip(7) {
             assert_eq!((day.choice, day.order), (ModelKind::Spectral, 0), "day {number}");
@@ -169,7 +169,7 @@ const PERGAM: Candidate = Candidate::Trained(ModelKind::PERGAM);
 
 #[test]
 fn one_short_daily_event() {
-    // Half an hour a day, most days.
+    // The state is on for half an hour a day, on most days.
     let run =
         run(StateKind::Probability, 70, |day, slot| flag((76..79).contains(&slot) && chance(day * SLOTS + slot, 0.9)));
     run.assert_right(42..70, 0.03);
@@ -182,7 +182,7 @@ fn one_short_daily_event() {
 
 #[test]
 fn two_events_a_day() {
-    // Each three quarters of an hour long, up to half an hour later and earlier on some days.
+    // Each event is three quarters of an hour long, up to half an hour later and earlier on some days.
     let run = run(StateKind::Probability, 70, |day, slot| {
         let shift = (4.0 * noise(day)) as i64;
         flag((45..49).contains(&(slot - shift)) || (105..110).contains(&(slot + shift)))
@@ -202,7 +202,7 @@ fn weekdays_only() {
 
 #[test]
 fn a_level_that_drifts() {
-    // A model that follows the last weeks is right; models that weight all days alike lag behind.
+    // A model that follows the last weeks is right; models that weight all days equally react late.
     let lagging = [Candidate::Mean, Candidate::Spectral, Candidate::Histogram(0), Candidate::Histogram(2)];
     let rising = run(StateKind::Continuous, 70, |day, slot| 10.0 + 0.1 * day as f64 + noise(day * SLOTS + slot));
     rising.assert_right(42..70, 0.03);
@@ -215,14 +215,15 @@ fn a_level_that_drifts() {
 
 #[test]
 fn an_abrupt_change_of_routine() {
-    // Two hours in the morning, and from the eighth week on as long in the afternoon.
+    // The state is on for two hours in the morning, and from the eighth week on as long in the afternoon.
     let change = 56;
     let run = run(StateKind::Probability, 105, |day, slot| {
         let hours = if day < change { 54..66 } else { 96..108 };
         flag(hours.contains(&slot) && chance(day * SLOTS + slot, 0.95))
     });
     let change = change as usize;
-    // After two weeks it is far better than models that remember the old routine; after four the rest is mostly noise.
+    // After two weeks it is far better than models that remember the old routine. After four weeks the rest of the
+    // error is mostly noise.
     run.assert_beats(
         change + 14..change + 28,
         4.0,
@@ -232,7 +233,8 @@ fn an_abrupt_change_of_routine() {
     run.assert_right(recovered.clone(), 0.2);
     let recovered = run.in_force(recovered);
     assert!(recovered < 2.5 * unavoidable, "{recovered}, {unavoidable} by chance");
-    // Never much worse than the mean: for four days the change cannot be distinguished from unusual days.
+    // The model in force is never much worse than the mean: for four days the change cannot be distinguished from
+    // unusual days.
     let (in_force, mean) = (run.in_force(change..change + 14), run.error_of(Candidate::Mean, change..change + 14));
     assert!(in_force < 1.6 * mean, "{in_force}, mean {mean}");
 }

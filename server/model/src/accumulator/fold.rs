@@ -1,7 +1,7 @@
 //! The kernel that adds a chunk of observations to A_k and B_k: one observation per lane.
 //!
 //! Harmonics run by recurrence over k with four vectors of observations side by side; the sums stay in eight lanes and
-//! are added up once per chunk. Values of 0 cost what others do: a multiply-add is cheaper than a branch. Invariant:
+//! are added up once per chunk. Values of 0 cost as much as others: a multiply-add is cheaper than a branch. Invariant:
 //! lanes without an observation add nothing. Observation i of a chunk is added in lane i modulo 8 whatever the width of
 //! vectors, so that the sums have the same bits on every instruction set.
 
@@ -61,7 +61,7 @@ fn fold_harmonics<S: Simd, const V: usize>(simd: S, base: &Cycle, samples: &[Sam
             for lanes in &mut lanes[..block.len()] {
                 spin.step(simd);
                 for (v, ((&value, &cos), &sin)) in value.iter().zip(&spin.cos).zip(&spin.sin).enumerate() {
-                    // Where V divides a group this is v % V.
+                    // If V divides a group, the index is v % V.
                     add_vector(simd, lanes, (group * GROUP + v) % V, cos, sin, value);
                 }
             }
@@ -100,7 +100,7 @@ fn fold_list<S: Simd, const V: usize>(simd: S, list: &[Cycle], samples: &[Sample
     }
 }
 
-/// Adds a vector of observations, the `v`-th of its eight.
+/// Adds a vector of observations, the `v`-th of the eight.
 #[inline(always)]
 fn add_vector<S: Simd, const V: usize>(
     simd: S,

@@ -1,4 +1,4 @@
-//! The readings of a state that has few, in place of the sums over them.
+//! The readings of a state that has few. They are stored in place of the sums over them.
 //!
 //! A reading takes 16 bytes, a sum 32 for each candidate periodicity. Invariant: the sums over the readings, batch by
 //! batch, are bit for bit those that were computed when the readings came.
@@ -32,7 +32,7 @@ impl ShortRecord {
         self.readings.reserve_exact(samples.len());
         self.readings.extend(samples.iter().map(|sample| (sample.civil_nanos(), sample.value)));
         self.batches.reserve_exact(1);
-        // There are at most as many as periodicities.
+        // There are at most as many samples as periodicities.
         self.batches.push(samples.len() as u32);
         Some(self)
     }
@@ -48,7 +48,7 @@ impl ShortRecord {
         })
     }
 
-    /// Refuses a record that is not of that number of readings, or holds a value that the kind does not allow.
+    /// Refuses a record that has another number of readings, or a value that the kind does not allow.
     pub(super) fn check(&self, kind: StateKind, observations: u64) -> Result<(), InvalidParts> {
         let found = self.readings.len() as f64;
         let in_batches: u64 = self.batches.iter().map(|&length| u64::from(length)).sum();

@@ -1,19 +1,19 @@
-//! The sums A_k and B_k of a state between updates: in memory, or where they were saved.
+//! The sums A_k and B_k of a state between updates: in memory, or in the file where they were saved.
 //!
-//! Invariant: what a cell holds never changes, only where it is held; all clones of a model share its cell. Predictions
-//! need none of it, so that readers never wait here.
+//! Invariant: the content of a cell never changes, only the place where it is stored; all clones of a model share its
+//! cell. Predictions do not need the sums, so readers never wait here.
 
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-/// A place outside of memory where sums are held.
+/// A place outside of memory where sums are stored.
 pub trait SpectrumSource: fmt::Debug + Send + Sync {
-    /// The sums at a place: `[re A_k, im A_k, re B_k, im B_k]` per periodicity.
+    /// Reads the sums at a place: `[re A_k, im A_k, re B_k, im B_k]` per periodicity.
     ///
     /// # Errors
-    /// Why they cannot be read.
+    /// Returns the reason if they cannot be read.
     fn read(&self, place: u64) -> Result<Vec<[f64; 4]>, String>;
 }
 
@@ -23,7 +23,7 @@ enum Held {
     There(Arc<dyn SpectrumSource>, u64),
 }
 
-/// The sums of a state, wherever they are. Clones are the same cell.
+/// The sums of a state, wherever they are stored. Clones are the same cell.
 #[derive(Clone, Debug)]
 pub struct SpectrumCell(Arc<Mutex<Held>>);
 
@@ -36,10 +36,10 @@ impl SpectrumCell {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The sums.
+    /// Returns the sums.
     ///
     /// # Errors
-    /// Why they cannot be read from where they are held.
+    /// Returns the reason if they cannot be read from the place where they are stored.
     pub fn read(&self) -> Result<Vec<[f64; 4]>, String> {
         let (source, place) = match &*self.held() {
             Held::Here(spectrum) => return Ok(spectrum.to_vec()),
@@ -48,7 +48,7 @@ impl SpectrumCell {
         source.read(place)
     }
 
-    /// Bytes in memory; 0 if they are held elsewhere.
+    /// Bytes in memory; 0 if the sums are stored elsewhere.
     pub fn bytes(&self) -> usize {
         match &*self.held() {
             Held::Here(spectrum) => size_of_val(&**spectrum),
@@ -56,7 +56,7 @@ impl SpectrumCell {
         }
     }
 
-    /// Frees the memory: from now on the sums are read from a place that holds the same.
+    /// Frees the memory: from now on the sums are read from `place`, which must contain equal sums.
     pub fn move_to(&self, source: &Arc<dyn SpectrumSource>, place: u64) {
         *self.held() = Held::There(Arc::clone(source), place);
     }

@@ -1,4 +1,4 @@
-//! What `accumulator.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `accumulator.rs`, against a naive oracle where there is one.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::{PeriodicityDefinition, SpectralModel};
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// γ_k as the definition says, one `sin_cos` each, phases reduced in 128-bit integers.
+/// γ_k by its definition, one `sin_cos` each, phases reduced in 128-bit integers.
 fn oracle_gammas(periodicities: &Periodicities, samples: &[Sample]) -> Vec<(f64, f64)> {
     let n = samples.len() as f64;
     let mean = samples.iter().map(|s| s.value).sum::<f64>() / n;
@@ -124,7 +124,7 @@ fn several_chunks_match_the_naive_sums_at_2048_harmonics() {
 
 #[test]
 fn boundary_times_are_exact() {
-    // 1970, 2038-01-19T03:14:07, 2106-02-07T06:28:15, the end of i64; and local times past both ends.
+    // The times are 1970, 2038-01-19T03:14:07, 2106-02-07T06:28:15, the end of i64, and local times past both ends.
     let seconds = [0_i64, i64::from(i32::MAX), i64::from(u32::MAX), i64::MAX / 1_000_000_000];
     let mut samples: Vec<Sample> = seconds
         .iter()

@@ -1,4 +1,4 @@
-//! What `civil.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `civil.rs`, against a naive oracle where there is one.
 
 use super::*;
 
@@ -85,9 +85,9 @@ fn a_repeated_midnight_counts_from_its_first() {
     // Clocks went from 01:00 back to 00:00.
     check_midnight("America/Havana", "2016-11-06", "2016-11-06T04:00:00Z");
     check_day_hours("America/Havana", "2016-11-06", 25);
-    // From 00:01 back to 23:01 of the day before.
+    // Clocks went from 00:01 back to 23:01 of the day before.
     check_midnight("America/St_Johns", "2006-10-29", "2006-10-29T02:30:00Z");
-    // From 24:00 back to 23:00, so the date begins once, an hour later.
+    // Clocks went from 24:00 back to 23:00, so the date begins once, an hour later.
     check_midnight("America/Sao_Paulo", "2018-02-18", "2018-02-18T03:00:00Z");
     check_day_hours("America/Sao_Paulo", "2018-02-17", 25);
 }

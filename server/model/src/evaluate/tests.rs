@@ -1,4 +1,4 @@
-//! What `evaluate.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `evaluate.rs`, against a naive oracle where there is one.
 
 use proptest::prelude::*;
 

@@ -1,8 +1,8 @@
-//! The sample of [`Gaps`](super::Gaps) in a fixed place, which takes many gaps at a time.
+//! The sample of [`Gaps`](super::Gaps) in a fixed amount of memory. It adds many gaps at a time.
 //!
-//! Which gaps are kept follows from their number alone. So of many gaps only the few that are kept are looked at, and
-//! their numbers need no place. Invariant: the same sequence of gaps leaves the same sample as in
-//! [`Gaps`](super::Gaps), for the first 2³² gaps; later ones are counted only.
+//! The number of a gap alone decides whether the gap is kept. So only the few gaps that are kept are read, and their
+//! numbers need not be stored. Invariant: an equal sequence of gaps leaves a sample equal to that in
+//! [`Gaps`](super::Gaps), for the first 2³² gaps; later gaps are counted only.
 
 use std::sync::OnceLock;
 
@@ -12,16 +12,16 @@ use crate::InvalidParts;
 /// Gaps with a number of more bits are not kept.
 const NUMBER_BITS: usize = 32;
 
-/// The number of a gap that enters the sample when it comes, and the numbers of the sample from then on, by hash.
+/// The number of a gap that enters the sample, and the numbers of the sample from then on, by hash.
 struct GapStep {
     number: u64,
     kept: Vec<u64>,
 }
 
-/// The steps of the numbers below a power of two, and not below the one before; ascending.
+/// The steps of the numbers from each power of two up to the next; ascending.
 static STEPS: [OnceLock<Vec<GapStep>>; NUMBER_BITS] = [const { OnceLock::new() }; NUMBER_BITS];
 
-/// A sample of the times between readings, in a fixed place.
+/// A sample of the times between readings, in a fixed amount of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub struct GapSample {
     count: u64,
@@ -30,7 +30,7 @@ pub struct GapSample {
 }
 
 impl GapSample {
-    /// Adds the next `more` gaps; `nanos_of` gives the length of each by its place among them, from 0.
+    /// Adds the next `more` gaps; `nanos_of` returns the length of each by its index among them, from 0.
     pub fn observe_many(&mut self, more: u64, nanos_of: impl Fn(u64) -> u64) {
         let first = self.count;
         let end = first.saturating_add(more);
@@ -39,7 +39,7 @@ impl GapSample {
         if before == after {
             return;
         }
-        // Those that stay are in the same order.
+        // The gaps that stay are in the same order.
         let mut known = before.iter().zip(self.secs);
         for (secs, &number) in self.secs.iter_mut().zip(after) {
             *secs = match number.checked_sub(first) {
@@ -49,22 +49,22 @@ impl GapSample {
         }
     }
 
-    /// Gaps so far.
+    /// Number of gaps so far.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// As [`Gaps::median_nanos`](super::Gaps::median_nanos).
+    /// Returns the same gap as [`Gaps::median_nanos`](super::Gaps::median_nanos).
     pub fn median_nanos(&self) -> u64 {
         median_nanos(&self.sorted())
     }
 
-    /// As [`Gaps::regular_nanos`](super::Gaps::regular_nanos).
+    /// Returns the same gap as [`Gaps::regular_nanos`](super::Gaps::regular_nanos).
     pub fn regular_nanos(&self) -> Option<u64> {
         regular_nanos(&self.sorted())
     }
 
-    /// The kept gaps in whole seconds, in an order of their own, to store.
+    /// The kept gaps in whole seconds, in the order of this sample, for storage.
     pub fn kept_secs(&self) -> &[u32] {
         &self.secs[..kept_of(self.count)]
     }
@@ -72,7 +72,7 @@ impl GapSample {
     /// A sample from the number of gaps and the stored ones.
     ///
     /// # Errors
-    /// [`InvalidParts`] where the number of those does not follow from the number of all.
+    /// [`InvalidParts`] if the number of kept gaps does not follow from `count`.
     pub fn from_kept(count: u64, kept_secs: &[u32]) -> Result<GapSample, InvalidParts> {
         if kept_secs.len() != kept_of(count) {
             return Err(InvalidParts::OutOfRange { field: "number of kept gaps", found: kept_secs.len() as f64 });
@@ -89,17 +89,17 @@ impl GapSample {
     }
 }
 
-/// How many of so many gaps are kept.
+/// The number of gaps that are kept of `count`.
 fn kept_of(count: u64) -> usize {
     usize::try_from(count).map_or(KEPT, |count| count.min(KEPT))
 }
 
-/// Bits of a number after its first; 0 of 0 and 1.
+/// The number of bits of a number after its first; 0 for 0 and 1.
 fn bits_of(number: u64) -> usize {
     number.max(1).ilog2() as usize
 }
 
-/// The numbers below `count` that are kept then, by hash.
+/// The numbers of the gaps that are kept when there are `count` gaps, by hash.
 fn kept_before(count: u64) -> &'static [u64] {
     let Some(last) = count.checked_sub(1) else { return &[] };
     let blocks = 0..bits_of(last).saturating_add(1).min(NUMBER_BITS);
@@ -110,7 +110,7 @@ fn kept_before(count: u64) -> &'static [u64] {
     newest.map_or(&[], |step| &step.kept)
 }
 
-/// The steps of the numbers with so many bits after the first. Computed once.
+/// The steps of the numbers with `bits` bits after the first. They are computed once.
 fn steps(bits: usize) -> &'static [GapStep] {
     let Some(steps) = STEPS.get(bits) else { return &[] };
     steps.get_or_init(|| {

@@ -1,4 +1,4 @@
-//! What `gaps.rs` promises.
+//! Tests the properties of `gaps.rs`.
 
 use super::*;
 
@@ -21,7 +21,7 @@ fn few_gaps_are_known_exactly() {
 
 #[test]
 fn many_gaps_are_a_fair_sample() {
-    // A third of the gaps is long, in a fixed pattern.
+    // Every third gap is long, in a fixed pattern.
     let known = gaps((0..100_000).map(|number| if number % 3 == 0 { 9 * HOUR } else { HOUR }));
     assert_eq!((known.median_nanos(), known.regular_nanos()), (HOUR, Some(HOUR)));
     let long = known.to_parts().kept.iter().filter(|(_, secs)| *secs > 3_600).count();

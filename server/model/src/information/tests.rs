@@ -1,4 +1,4 @@
-//! Known values of what is learned, its bounds, and how the measures weigh it.
+//! Tests known values of the learning, its bounds, and its weight in the measures.
 
 use proptest::prelude::*;
 
@@ -6,7 +6,7 @@ use super::*;
 
 #[test]
 fn what_a_look_teaches_has_its_known_values() {
-    // Of a habit of which nothing is known but its mean, which is then 0 or 1, one look tells all.
+    // If only the mean of a habit is known and the habit is 0 or 1, one observation gives all information.
     assert!((learning_bits(0.5, 0.0) - 1.0).abs() < 1e-9);
     // Beta(1, 1): E[H] is half a nat.
     assert!((learning_bits(0.5, 2.0) - (1.0 - 0.5 / std::f64::consts::LN_2)).abs() < 1e-9);
@@ -14,7 +14,7 @@ fn what_a_look_teaches_has_its_known_values() {
     let harmonic = |n: u32| (1..=n).map(|k| 1.0 / f64::from(k)).sum::<f64>();
     let kept = harmonic(4) - 0.25 * harmonic(1) - 0.75 * harmonic(3);
     assert!((learning_bits(0.25, 4.0) - (entropy_bits(0.25) - kept / std::f64::consts::LN_2)).abs() < 1e-9);
-    // With many looks, 1 / (2ν) nats.
+    // With many bins, the value is 1 / (2ν) nats.
     assert!((learning_bits(0.3, 1e4) * 2e4 * std::f64::consts::LN_2 - 1.0).abs() < 1e-2);
     for looks in [f64::INFINITY, 1e300, LOOKS_MAX] {
         assert_eq!(learning_bits(0.5, looks), 0.0);
@@ -26,7 +26,7 @@ fn the_measures_weigh_gain_and_learning() {
     let bits = InformationMeasure::ALL.map(|measure| measure.bits(0.5, 0.25));
     assert_eq!(bits, [0.5, 0.25, 1.5]);
     assert_eq!(InformationMeasure::ALL.map(InformationMeasure::name), ["ral", "learn", "both"]);
-    // A coin that was often thrown is worth less than a state of which little is known.
+    // An observation of a coin that was often thrown is worth less than that of a state with little data.
     let worth = |v: f64, looks: f64| InformationMeasure::Both.bits(entropy_bits(v), learning_bits(v, looks));
     assert!(worth(0.5, 200.0) < worth(0.2, 1.0));
 }

@@ -1,4 +1,4 @@
-//! What `instruction_set.rs` promises.
+//! Tests the properties of `instruction_set.rs`.
 
 use super::*;
 

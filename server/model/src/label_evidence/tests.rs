@@ -10,7 +10,7 @@ fn posterior(likelihoods: &[f64], temporal: &[f64], spatial: Option<&[f64]>) -> 
     LabelEvidence { likelihoods, temporal, spatial }.posterior()
 }
 
-/// The formula, as it stands at the top of the file.
+/// The formula at the top of the file.
 fn oracle(likelihoods: &[f64], temporal: &[f64], spatial: Option<&[f64]>) -> Vec<f64> {
     let floored = |values: &[f64], label: usize| if values[label] < PRIOR_MIN { PRIOR_MIN } else { values[label] };
     let product = |label: usize| {
@@ -77,7 +77,8 @@ fn a_place_tells_which_labels_are_usual_there_once_something_was_observed() {
     for (label, place) in [(0, KITCHEN), (1, KITCHEN), (1, BEDROOM), (1, BEDROOM)] {
         places.add(label, place).unwrap();
     }
-    // Two places are known: (1 + 1) / (1 + 2), (1 + 1) / (3 + 2), and for a label that was never observed 1 / 2.
+    // Two places have observations: (1 + 1) / (1 + 2), (1 + 1) / (3 + 2), and 1 / 2 for a label that was never
+    // observed.
     assert_eq!(places.prior(KITCHEN), Some(vec![2.0 / 3.0, 0.4, 0.5]));
     assert_eq!(places.prior(BEDROOM), Some(vec![1.0 / 3.0, 0.6, 0.5]));
     assert_eq!((places.prior(2), places.prior(3)), (None, None));

@@ -1,9 +1,9 @@
-//! What `lanes.rs` promises.
+//! Tests the properties of `lanes.rs`.
 
 use super::*;
 use crate::phasor::every_arch;
 
-/// The sum of products, each number in the lane of its place modulo eight.
+/// The sum of products, each number in the lane of its index modulo eight.
 struct Products<'a>(&'a [[f64; LANES]]);
 
 impl EightLanes for Products<'_> {

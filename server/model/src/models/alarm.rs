@@ -26,13 +26,13 @@ const DEVIATION_MIN: f64 = 0.02;
 /// While the standard deviation rests on n days it may be too low; it is widened by 1 + this/n.
 const WIDENING_DAYS: f64 = 3.0;
 
-/// Tells when the errors of a state's predictions have risen above their history.
+/// The alarm that rings when the errors of a state's predictions have risen above their history.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ChangeAlarm {
     parts: ChangeAlarmParts,
 }
 
-/// What a [`ChangeAlarm`] consists of, for storage.
+/// The parts of a [`ChangeAlarm`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ChangeAlarmParts {
     /// History of weekdays, and of Saturdays and Sundays.
@@ -54,7 +54,7 @@ pub struct DayErrors {
     pub days: f64,
     /// Faded mean of the root mean squared error of a day.
     pub mean: f64,
-    /// Faded variance of it.
+    /// Faded variance of the root mean squared error of a day.
     pub variance: f64,
 }
 
@@ -62,11 +62,11 @@ impl ChangeAlarm {
     /// Adds a local day: the mean squared error of `observations` predictions made before the day was learned. Returns
     /// whether the alarm rings.
     ///
-    /// The error is that of a state in `[0,1]`; for others divide it by the variance of the values first. Its root is
-    /// compared with the history of days of its kind, weekdays or weekend, so that weekends that are easier to predict
-    /// are not a change; both kinds share the larger of their standard deviations. A day with fewer observations than
-    /// usual counts less. The first 14 days cannot ring. A day without observations, not after the last one, or with an
-    /// error that is negative or not finite changes nothing.
+    /// The error is that of a state in `[0,1]`; for others the caller divides it by the variance of the values first.
+    /// The root of the error is compared with the history of days of that kind, weekdays or weekend, so that weekends
+    /// that are easier to predict are not a change; both kinds use the larger of their standard deviations. A day with
+    /// fewer observations than usual counts less. The first 14 days cannot ring. A day changes nothing if it has no
+    /// observations, is not after the last one, or has an error that is negative or not finite.
     pub fn observe(&mut self, day: LocalDay, mse: f64, observations: u64) -> bool {
         let is_new = self.parts.last_day.is_none_or(|last_day| day > last_day);
         if is_new && observations > 0 && mse.is_finite() && mse >= 0.0 {
@@ -89,8 +89,8 @@ impl ChangeAlarm {
         let mut score = 0.0;
         if all_days >= DAYS_MIN && history.days >= DAYS_OF_KIND_MIN {
             score = ((error - history.mean) / deviation).min(SCORE_MAX);
-            // Weighted as a whole: the error of a day of few observations varies more in the same proportion, and so
-            // the sum climbs to the threshold by chance as rarely as on full days.
+            // The term is weighted as a whole. The error of a day with few observations varies more in equal
+            // proportion, so the sum climbs to the threshold by chance as rarely as on full days.
             parts.sum = (parts.sum + weight * (score - SLACK)).max(0.0);
         }
         if parts.alarm_day.is_none() && parts.sum > THRESHOLD {
@@ -111,17 +111,16 @@ impl ChangeAlarm {
         self.parts.alarm_day
     }
 
-    /// The mean squared error of a day of the kind of this one, weekday or weekend, so far: the square of the mean of
-    /// its root, and the variance of that. The error of the other kind of days where there is none; `None` without
-    /// days.
+    /// The mean squared error so far of days of the kind of `day`, weekday or weekend: the square of the mean of its
+    /// root, plus the variance of the root. If there is none, the error of the other kind of days; `None` without days.
     pub fn usual_mse(&self, day: LocalDay) -> Option<f64> {
         let kind = usize::from(is_weekend(day));
         let known = [kind, 1 - kind].map(|kind| self.parts.kinds[kind]).into_iter().find(|kind| kind.days > 0.0)?;
         Some(known.mean * known.mean + known.variance)
     }
 
-    /// Silences the alarm and begins a new history: what was usual before the change no longer counts. Days up to the
-    /// last one added stay closed.
+    /// Silences the alarm and begins a new history: errors from before the change no longer count. Days up to the last
+    /// one added stay closed.
     pub fn reset(&mut self) {
         self.parts = ChangeAlarmParts { last_day: self.parts.last_day, ..ChangeAlarmParts::default() };
     }
@@ -159,7 +158,7 @@ impl DayErrors {
     }
 }
 
-/// The standard deviation by which a day's error is measured: that of the kind of day that varies more.
+/// The standard deviation that a day's error is compared with: that of the kind of day that varies more.
 fn deviation(kinds: &[DayErrors; 2]) -> f64 {
     let widened = |kind: &DayErrors| kind.variance.sqrt() * (1.0 + WIDENING_DAYS / kind.days.max(1.0));
     kinds.iter().filter(|kind| kind.days >= DAYS_OF_KIND_MIN).map(widened).fold(DEVIATION_MIN, f64::max)

@@ -1,8 +1,8 @@
 //! The calibrated model: a profile of the week that is only as detailed as the observations justify.
 //!
 //! The profile is refined in tiers, each shrunk towards the one before: the mean, the day broadly smoothed, the day,
-//! the kind of day (Monday to Friday, or weekend), the day of the week. How far a tier departs from the one before is
-//! decided by credibility (H. Bühlmann, "Experience rating and credibility", ASTIN Bulletin 4, 1967): by comparing how
+//! the kind of day (Monday to Friday, or weekend), the day of the week. How far a tier departs from the one before
+//! follows from credibility (H. Bühlmann, "Experience rating and credibility", ASTIN Bulletin 4, 1967). It compares how
 //! much days that should be alike differ with how much the finer profile differs from the coarser. So a state without a
 //! weekly rhythm gets none, and pure noise gets its mean. Later days count more, so that the level follows the last
 //! weeks.
@@ -27,7 +27,7 @@ mod tests;
 /// Slots of ten minutes in a week, from Monday 00:00 local.
 const SLOTS_PER_WEEK: usize = SLOTS_PER_DAY * DAYS_OF_WEEK;
 
-/// What a [`Calibrated`] model consists of, for storage.
+/// The parts of a [`Calibrated`] model, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedParts {
     /// Number of readings that it was trained on, at least 1.
@@ -48,8 +48,8 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Trains it on the readings of one state, in time proportional to their number; readings that are not finite are
-    /// ignored. A half-life of the readings applies in addition to the memory of the options.
+    /// Trains the model on the readings of one state, in time proportional to their number; readings that are not
+    /// finite are ignored. A half-life of the readings applies in addition to the memory of the options.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings or an option is outside its range.
@@ -63,7 +63,7 @@ impl Calibrated {
         if observations == 0 {
             return Err(CannotTrain::NoReadings);
         }
-        // Values are scaled to the range; computed in halves, because the range itself may overflow.
+        // Values are scaled to the range. The range is computed in halves, because the range itself may overflow.
         let half_range = highest / 2.0 - lowest / 2.0;
         let newest = readings.samples.last().map_or(0, |sample| sample.local_day().0);
         let profile = if half_range > 0.0 {
@@ -81,7 +81,7 @@ impl Calibrated {
         self.parts.observations
     }
 
-    /// Its parts, for storage.
+    /// The parts of the model, for storage.
     pub fn to_parts(&self) -> CalibratedParts {
         self.parts.clone()
     }
@@ -89,8 +89,8 @@ impl Calibrated {
     /// The model from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] if the length of the profile is not 1,008, a number is not finite, or one is not between the
-    /// lowest and the highest reading.
+    /// [`InvalidParts`] if the length of the profile is not 1,008, or a number is not finite or not between the lowest
+    /// and the highest reading.
     pub fn from_parts(parts: CalibratedParts) -> Result<Calibrated, InvalidParts> {
         if parts.profile.len() != SLOTS_PER_WEEK {
             return Err(InvalidParts::OutOfRange { field: "slots of the week", found: parts.profile.len() as f64 });

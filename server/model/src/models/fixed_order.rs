@@ -15,7 +15,7 @@ pub struct FixedOrder {
 }
 
 impl FixedOrder {
-    /// The spectrum of readings of equal weight of a state of this kind. `order`: number of components, 0 to
+    /// Trains the spectrum of a state of this kind, with readings of equal weight. `order`: number of components, 0 to
     /// [`crate::ORDER_MAX`].
     ///
     /// # Errors
@@ -40,8 +40,8 @@ impl FixedOrder {
         self.model.mean()
     }
 
-    /// Period in seconds, amplitude in the unit of the values and phase in radians of each component that predicts, the
-    /// strongest first.
+    /// Period in seconds, amplitude in the unit of the values and phase in radians of each component that the model
+    /// uses, the strongest first.
     pub fn rhythms(&self) -> Vec<(f64, f64, f64)> {
         let rhythm = |component: &Component| {
             let period_secs = self.periodicities.period_secs(component.periodicity as usize);

@@ -1,11 +1,12 @@
-//! Flows of people: how many are detected in each cell of a raster, moving in which direction, and when.
+//! Flows of people: the number of people detected in each cell of a raster, their direction, and the time.
 //!
-//! After S. Molina, G. Cielniak, T. Krajník and T. Duckett, "Modelling and Predicting Rhythmic Flow Patterns in Dynamic
-//! Environments", TAROS 2018 (thesis, section 4.2): each cell counts its detections in bins of directions, and each bin
-//! has a periodic rate. The rates are those of the Poisson-spectral model ([`super::poisson`]); the detections of all
-//! directions of a cell choose one order together, as the labels of a categorical state do.
+//! The method is from S. Molina, G. Cielniak, T. Krajník and T. Duckett, "Modelling and Predicting Rhythmic Flow
+//! Patterns in Dynamic Environments", TAROS 2018 (thesis, section 4.2): each cell counts its detections in bins of
+//! directions, and each bin has a periodic rate. The rates are those of the Poisson-spectral model
+//! ([`super::poisson`]); the detections of all directions of a cell choose one order together, in the same way as the
+//! labels of a categorical state.
 //!
-//! Everything between the first and the last detection counts as watched: no detection means nobody.
+//! The whole time between the first and the last detection counts as watched: no detection means nobody.
 //!
 //! Invariant: rates are positive and finite. A cell without detections has the rate of its prior.
 
@@ -31,7 +32,7 @@ pub const FLOW_DIRECTIONS: RangeInclusive<usize> = 4..=36;
 pub const FLOW_BINS_MAX: usize = 200_000;
 /// The intervals that detections are counted in by default: ten minutes, in nanoseconds.
 pub const FLOW_INTERVAL_NANOS: i64 = 600 * 1_000_000_000;
-/// A longer record has longer intervals, so that there are at most this many.
+/// The maximum number of intervals: a longer record has longer intervals.
 const INTERVALS_MAX: i64 = 20_000;
 /// With fewer days no days are held out, and the order is 0.
 const DAYS_MIN: usize = 4;
@@ -39,15 +40,15 @@ const DAYS_MIN: usize = 4;
 /// A moving person, detected at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowDetection {
-    /// When.
+    /// The moment of the detection.
     pub moment: Moment,
-    /// Where, x and y in metres.
+    /// The place, x and y in metres.
     pub place_m: [f64; 2],
     /// The direction of movement in radians, counter-clockwise from the x axis.
     pub direction_rad: f64,
 }
 
-/// How flows are learned.
+/// The options of learning flows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowOptions {
     /// The cells; at most [`FLOW_BINS_MAX`] times their directions.
@@ -58,12 +59,12 @@ pub struct FlowOptions {
     pub interval_nanos: i64,
     /// The greatest order; 0 learns means without time.
     pub order_max: usize,
-    /// Half-life of the weight of detections, in seconds; `None`: all count alike.
+    /// Half-life of the weight of detections, in seconds; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
 }
 
 impl FlowOptions {
-    /// Eight directions and intervals of [`FLOW_INTERVAL_NANOS`].
+    /// The default options: eight directions and intervals of [`FLOW_INTERVAL_NANOS`].
     pub fn new(raster: FlowRaster) -> FlowOptions {
         let (directions, interval_nanos) = (8, FLOW_INTERVAL_NANOS);
         FlowOptions { raster, directions, interval_nanos, order_max: crate::ORDER_MAX, half_life_secs: None }
@@ -104,7 +105,7 @@ pub struct FlowModel {
     detections: u64,
 }
 
-/// What is expected in one cell.
+/// The expected flow in one cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellFlow {
     /// Index of the cell in the raster.
@@ -163,12 +164,12 @@ impl FlowModel {
         Ok(FlowModel { options: *options, periodicities, cells, prior, interval_nanos, detections: counted.detections })
     }
 
-    /// The options that it was trained with.
+    /// The options that the model was trained with.
     pub fn options(&self) -> &FlowOptions {
         &self.options
     }
 
-    /// Number of detections that it was trained on.
+    /// Number of detections that the model was trained on.
     pub fn detections(&self) -> u64 {
         self.detections
     }
@@ -188,7 +189,7 @@ impl FlowModel {
         self.prior / self.interval_secs()
     }
 
-    /// What is expected at a moment in each cell with detections, ascending by index.
+    /// The expected flow at a moment in each cell with detections, ascending by index.
     pub fn at(&self, at: Moment) -> Vec<CellFlow> {
         let phasors = PhasorTable::new(&self.periodicities, &[at.civil_nanos()]);
         let secs = self.interval_secs();

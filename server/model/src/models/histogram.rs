@@ -1,8 +1,8 @@
 //! A histogram over the day or the week: each bin of the cycle has the mean of the readings in it.
 //!
-//! The Hist_n of RA-L 2019, section IV ("divides each day into n intervals and predicts the given variable as an
-//! average in a relevant time of a day"), over local civil time. Invariant: every prediction is finite and lies between
-//! the lowest and the highest reading.
+//! The model is Hist_n of RA-L 2019, section IV ("divides each day into n intervals and predicts the given variable as
+//! an average in a relevant time of a day"), over local civil time. Invariant: every prediction is finite and lies
+//! between the lowest and the highest reading.
 
 use super::mean::{RunningMean, check_values};
 use super::{CannotTrain, Moment, Readings, TemporalModel};
@@ -29,7 +29,8 @@ pub const HISTOGRAM_PRIOR_READINGS: f64 = 1.0;
 pub struct HistogramSettings {
     /// The cycle.
     pub cycle: HistogramCycle,
-    /// Bins of the cycle, 1 to [`HistogramCycle::max_bins`]; of weekday and weekend, bins of each of the two days.
+    /// Number of bins of the cycle, 1 to [`HistogramCycle::max_bins`]; for weekday and weekend, of each of the two
+    /// days.
     pub bins: usize,
     /// Standard deviation of the circular Gaussian kernel that bins are smoothed with, in bins, 0 (none) to a quarter
     /// of `bins`. Bins of a weekday and of a weekend day are never mixed.
@@ -39,7 +40,7 @@ pub struct HistogramSettings {
 }
 
 impl HistogramSettings {
-    /// No smoothing and the prior of [`HISTOGRAM_PRIOR_READINGS`].
+    /// The settings with no smoothing and the prior [`HISTOGRAM_PRIOR_READINGS`].
     pub fn new(cycle: HistogramCycle, bins: usize) -> HistogramSettings {
         HistogramSettings { cycle, bins, smoothing_bins: 0.0, prior_readings: HISTOGRAM_PRIOR_READINGS }
     }
@@ -71,7 +72,7 @@ pub struct Histogram {
     parts: HistogramParts,
 }
 
-/// What a [`Histogram`] consists of, for storage.
+/// The parts of a [`Histogram`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistogramParts {
     /// The cycle.
@@ -84,10 +85,10 @@ pub struct HistogramParts {
 }
 
 impl Histogram {
-    /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with κ =
-    /// `prior_readings`. A bin without readings predicts as the next coarser histogram with bins of the same length
-    /// that has readings there: of the week that of weekday and weekend, then that of the day. If there is none, it
-    /// predicts the mean of all.
+    /// Trains the mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with κ =
+    /// `prior_readings`. A bin without readings has the prediction of the next coarser histogram with bins of that
+    /// length that has readings there: after the week, weekday and weekend, then the day. If there is none, it predicts
+    /// the mean of all.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings, a value is not finite, or a setting is outside its range.
@@ -113,8 +114,8 @@ impl Histogram {
         Ok(Histogram::of_bins(settings, &bins, all.mean, coarser))
     }
 
-    /// From the weight and mean value of each bin, the mean of all readings, and the weight and mean value that a
-    /// coarser histogram has in a bin.
+    /// Builds the histogram from the weight and mean value of each bin, the mean of all readings, and the weight and
+    /// mean value that a coarser histogram has in a bin.
     fn of_bins(
         settings: &HistogramSettings,
         bins: &[(f64, f64)],
@@ -137,7 +138,7 @@ impl Histogram {
         self.parts.cycle
     }
 
-    /// Bins of the cycle; of weekday and weekend, bins of each of the two days.
+    /// Number of bins of the cycle; for weekday and weekend, of each of the two days.
     pub fn bins(&self) -> usize {
         self.parts.values.len() / self.parts.cycle.runs()
     }
@@ -189,7 +190,7 @@ impl TemporalModel for Histogram {
     }
 }
 
-/// The bins that the coarser histograms with bins of the same length take together, the next coarser first.
+/// The bins that each coarser histogram with bins of equal length combines, the next coarser first.
 fn coarser_bins(cycle: HistogramCycle, bins: usize, bin: usize) -> Vec<Vec<usize>> {
     match cycle {
         HistogramCycle::Day => Vec::new(),
@@ -211,11 +212,11 @@ fn shrunk((weight, value): (f64, f64), mean: f64, prior_readings: f64) -> f64 {
     }
     let total = weight + prior_readings;
     let between = value * (weight / total) + mean * (prior_readings / total);
-    // Rounding must not leave the range of the readings.
+    // Rounding must not move the result outside the range of the readings.
     between.clamp(value.min(mean), value.max(mean))
 }
 
-/// Each bin's weight and mean over its surroundings, within runs of `run` bins that close into a circle: the
+/// Each bin's weight and mean over its neighbours, within runs of `run` bins that close into a circle: the
 /// kernel-weighted mean of the readings (Nadaraya and Watson).
 fn smoothed(bins: &[(f64, f64)], run: usize, width_bins: f64) -> Vec<(f64, f64)> {
     // Beyond four standard deviations a kernel has 6e-5 of its mass; beyond half the circle it would count bins twice.

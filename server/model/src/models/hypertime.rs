@@ -41,12 +41,12 @@ use training::{OddsReading, OddsTraining};
 #[cfg(test)]
 mod tests;
 
-/// What a [`Hypertime`] consists of, for storage.
+/// The parts of a [`Hypertime`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub enum HypertimeParts {
-    /// For a probability.
+    /// The parts of a model of a probability.
     Probability(HypertimeOddsParts),
-    /// For any other number.
+    /// The parts of a model of any other number.
     Continuous(HypertimeFieldParts),
 }
 
@@ -67,11 +67,11 @@ impl Hypertime {
     /// those of a map, a month and a year. Readings are summed by slots (of the week, of five minutes; for cycles of a
     /// year, of an hour), so that years of readings take little longer than weeks.
     ///
-    /// Departures from RA-L 2019: the error that periods are searched in, and that stops the growth (eq. 6), is that of
-    /// readings left out, a quarter of the days at a time (of the hours, where there are fewer than four days), and a
-    /// period must lower it by a hundredth; of several seeded starts the one is kept under which those readings are
-    /// likeliest; there are at most five periods, the longest cycle of the map divided by at most 84 (by 365 for a
-    /// year); covariances have a prior.
+    /// Departures from RA-L 2019: the error in which periods are searched, and which stops the growth (eq. 6), is that
+    /// of held-out readings, a quarter of the days at a time (of the hours, if there are fewer than four days), and a
+    /// period must lower it by a hundredth; of several seeded starts, the one with the highest likelihood of those
+    /// readings is kept; there are at most five periods, the longest cycle of the map divided by at most 84 (by 365 for
+    /// a year); covariances have a prior.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings or an option is outside its range.
@@ -101,8 +101,8 @@ impl Hypertime {
         Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
 
-    /// Trains the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::train`]
-    /// does.
+    /// Trains the model of a value that is not a probability, such as a speed or a count, with
+    /// [`HypertimeField::train`].
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings, an option is outside its range, or a value is not finite.
@@ -147,7 +147,7 @@ impl Hypertime {
         }
     }
 
-    /// The parts of the model; a model built from them predicts the same.
+    /// The parts of the model; a model built from them has equal predictions.
     pub fn to_parts(&self) -> HypertimeParts {
         match &self.shape {
             HypertimeKind::Probability(odds) => HypertimeParts::Probability(odds.to_parts()),

@@ -1,10 +1,10 @@
 //! Credible intervals of predictions.
 //!
-//! The interval of a moment is the band in which the mean of the state over the hour around it lies with a given
-//! probability. Single readings of a door are 0 or 1 and need no band; what differs from day to day, and matters for a
-//! plan, is the share of the hour in which it is open. The hour's mean is taken to follow a Beta distribution whose
-//! mean is the prediction and whose variance is that between days, as recorded for this hour of the day. With few days,
-//! both are shrunk towards all hours and towards the prior. Invariant: 0 ≤ lower ≤ p ≤ upper ≤ 1.
+//! The interval of a moment is the band that contains the mean of the state over the hour around it with a given
+//! probability. Single readings of a door are 0 or 1 and need no band. The share of the hour in which the door is open
+//! differs from day to day, and this share matters for a plan. The hour's mean is assumed to follow a Beta distribution
+//! whose mean is the prediction and whose variance is the recorded variance between days for this hour of the day. With
+//! few days, both are shrunk towards all hours and towards the prior. Invariant: 0 ≤ lower ≤ p ≤ upper ≤ 1.
 
 use super::HourSpread;
 
@@ -29,7 +29,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Upper less lower end, in `[0,1]`.
+    /// Upper end minus lower end, in `[0,1]`.
     pub fn width(self) -> f64 {
         self.upper - self.lower
     }
@@ -47,12 +47,12 @@ pub struct HourMoments {
     pub days: f64,
     /// Sum of the hour's means on these days, each in `[0,1]`.
     pub sum: f64,
-    /// Sum of their squares.
+    /// Sum of the squares of these means.
     pub sum_of_squares: f64,
 }
 
 impl HourMoments {
-    /// The sums over the days of both.
+    /// Adds the sums over the days of both.
     #[must_use]
     pub fn and(self, other: HourMoments) -> HourMoments {
         HourMoments {
@@ -62,8 +62,8 @@ impl HourMoments {
         }
     }
 
-    /// Variance between the hour's means on these days, at least 0, finite; 0 with fewer than two. For values of any
-    /// kind.
+    /// Variance between the hour's means on these days, at least 0, finite; 0 with fewer than two days. It is valid for
+    /// values of any kind.
     #[must_use]
     pub fn variance(self) -> f64 {
         if self.days.is_nan() || self.days <= 1.0 {
@@ -82,9 +82,9 @@ impl HourMoments {
         HourMoments { days, sum, sum_of_squares: number(self.sum_of_squares, sum).max(least) }
     }
 
-    /// The variance between days as a share of the largest possible one for the mean, in `[0,1]`, and its weight in
-    /// days: 1 where hours are all or nothing, 0 where all days are alike. An hour that is nearly always 0, or 1, has
-    /// little weight.
+    /// The variance between days as a share of the largest possible variance for the mean, in `[0,1]`, and its weight
+    /// in days. The share is 1 if every hour is 0 or 1 as a whole, and 0 if all days are alike. An hour that is nearly
+    /// always 0, or nearly always 1, has little weight.
     fn scatter(self) -> (f64, f64) {
         let HourMoments { days, sum, sum_of_squares } = self.plausible();
         if days <= 1.0 {

@@ -1,6 +1,6 @@
 //! The latest value: predicts the value of the newest reading.
 //!
-//! The map that robots have by default: it remembers one reading. Invariant: the prediction is a reading.
+//! Robots have this map by default: it remembers one reading. Invariant: the prediction is a reading.
 
 use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
@@ -11,28 +11,28 @@ mod tests;
 
 /// The newest reading's value from the first reading on, and the first reading's value before it.
 ///
-/// It keeps two readings only: between them it also predicts the newest (RAS 2017, section 4.3: maps that "reflect the
-/// latest state measurements").
+/// The model keeps two readings only: between them it also predicts the newest (RAS 2017, section 4.3: maps that
+/// "reflect the latest state measurements").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latest {
     parts: LatestParts,
 }
 
-/// What a [`Latest`] consists of, for storage.
+/// The parts of a [`Latest`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatestParts {
     /// Time of the first reading: UTC, nanoseconds since 1970.
     pub first_nanos: i64,
-    /// Its value, finite.
+    /// Value of the first reading, finite.
     pub first_value: f64,
     /// Time of the newest reading: UTC, nanoseconds since 1970.
     pub last_nanos: i64,
-    /// Its value, finite.
+    /// Value of the newest reading, finite.
     pub last_value: f64,
 }
 
 impl Latest {
-    /// Keeps the first and the newest reading; of several at the newest time the last.
+    /// Keeps the first and the newest reading; of several at the newest time, the last.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings or a value is not finite.
@@ -51,7 +51,7 @@ impl Latest {
         })
     }
 
-    /// Replaces the newest reading; one that is older than the newest, or not finite, changes nothing.
+    /// Replaces the newest reading; a reading that is older than the newest, or not finite, changes nothing.
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if utc_nanos >= self.parts.last_nanos && value.is_finite() {
             (self.parts.last_nanos, self.parts.last_value) = (utc_nanos, value);

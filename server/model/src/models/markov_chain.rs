@@ -1,7 +1,8 @@
 //! Persistence alone: a state that is 0 or 1 and changes at constant rates, predicted from its newest reading.
 //!
-//! The continuous-time Markov chain of RAS 2017, section 4.2. It ignores the time of day, so far from the newest
-//! reading it predicts a constant. Invariant: both rates are positive and finite, every prediction lies in `[0,1]`.
+//! The model is the continuous-time Markov chain of RAS 2017, section 4.2. It ignores the time of day, so far from the
+//! newest reading it predicts a constant. Invariant: both rates are positive and finite, every prediction lies in
+//! `[0,1]`.
 
 use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
@@ -24,7 +25,7 @@ pub struct MarkovChain {
     parts: MarkovChainParts,
 }
 
-/// What a [`MarkovChain`] consists of, for storage.
+/// The parts of a [`MarkovChain`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarkovChainParts {
     /// α: changes from 0 to 1 per second of being 0; above 0.
@@ -33,20 +34,20 @@ pub struct MarkovChainParts {
     pub fall_per_sec: f64,
     /// Time of the newest reading: UTC, nanoseconds since 1970.
     pub last_nanos: i64,
-    /// Its value, in `[0,1]`.
+    /// Value of the newest reading, in `[0,1]`.
     pub last_value: f64,
 }
 
 impl MarkovChain {
-    /// The rates that make the readings most likely, whatever the gaps between them.
+    /// Trains the rates that make the readings most likely, for any gaps between them.
     ///
     /// For two successive readings s and s' in `[0,1]` with a gap Δ, max(0, s'-s) counts as a rise, max(0, s-s') as a
     /// fall and the rest as staying, so that an uncertain but steady state does not seem to change. The likelihood is
-    /// that of the chain seen at both ends of Δ: it allows for changes that were missed in between, and a gap of years
-    /// only tells how often the state is 1. Readings with equal times say nothing about rates. A prior of half a rise
-    /// and half a fall in an hour at each value (a mean time between changes of the order of the persistence model's
-    /// hour) keeps both rates above 0 if no change was observed. Gaps within 2 % of each other count as one gap of
-    /// their mean length: the likelihood depends on such differences in second order only.
+    /// that of the chain observed at both ends of Δ: it allows for changes that were missed in between, and a gap of
+    /// years is evidence only for how often the state is 1. Readings with equal times are no evidence for rates. A
+    /// prior of half a rise and half a fall in an hour at each value (a mean time between changes of the order of the
+    /// persistence model's hour) keeps both rates above 0 if no change was observed. Gaps within 2 % of each other
+    /// count as one gap of their mean length: the likelihood depends on such differences in second order only.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings or a value is outside `[0,1]`.
@@ -71,8 +72,8 @@ impl MarkovChain {
         })
     }
 
-    /// Replaces the newest reading without changing the rates; one that is older than the newest, or outside `[0,1]`,
-    /// changes nothing.
+    /// Replaces the newest reading without changing the rates; a reading that is older than the newest, or outside
+    /// `[0,1]`, changes nothing.
     pub fn observe(&mut self, utc_nanos: i64, value: f64) {
         if utc_nanos >= self.parts.last_nanos && (0.0..=1.0).contains(&value) {
             (self.parts.last_nanos, self.parts.last_value) = (utc_nanos, value);
@@ -107,7 +108,7 @@ impl MarkovChain {
 }
 
 impl TemporalModel for MarkovChain {
-    /// After the newest reading by the chain; before it the stationary probability.
+    /// Predicts with the chain after the newest reading, and the stationary probability before it.
     fn predict(&self, at: Moment) -> f64 {
         let stationary = self.stationary();
         if at.utc_nanos < self.parts.last_nanos {

@@ -14,7 +14,7 @@ pub struct Mean {
     parts: MeanParts,
 }
 
-/// What a [`Mean`] consists of, for storage.
+/// The parts of a [`Mean`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanParts {
     /// The mean value, finite.
@@ -22,7 +22,7 @@ pub struct MeanParts {
 }
 
 impl Mean {
-    /// The mean of the readings with the weights of [`Readings::weights`].
+    /// Trains the mean of the readings with the weights of [`Readings::weights`].
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings or a value is not finite.
@@ -80,7 +80,8 @@ impl RunningMean {
         (self.lowest, self.highest) = (self.lowest.min(value), self.highest.max(value));
         self.weight += weight;
         let share = weight / self.weight;
-        // A difference of huge values would overflow. Rounding must not leave the range of the readings.
+        // A difference of huge values would overflow. Rounding must not move the mean outside the range of the
+        // readings.
         self.mean = (self.mean * (1.0 - share) + value * share).clamp(self.lowest, self.highest);
     }
 }

@@ -1,9 +1,10 @@
 //! Periodic Gaussian mixture: events at fixed times of the period, such as a day.
 //!
-//! PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings are folded
-//! into one period (eq. 6) and a mixture of Gaussians is trained on their mean values (eq. 7). The Gaussians are
-//! wrapped here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must
-//! be known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
+//! The model is PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings
+//! are folded into one period (eq. 6) and a mixture of Gaussians is trained on their mean values (eq. 7). The Gaussians
+//! are wrapped here, so that 23:59 is next to 0:01. The model can represent several short events, but only one period,
+//! which must be known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in
+//! `[0,1]`.
 
 use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
@@ -23,7 +24,7 @@ const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 /// A hundred years of 365.25 days.
 const PERIOD_MAX_NANOS: i64 = 36_525 * DAY_NANOS;
 
-/// How a periodic Gaussian mixture is trained.
+/// The options of training a periodic Gaussian mixture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PergamOptions {
     /// Number of Gaussians, 1 to [`PergamOptions::GAUSSIANS_MAX`]; fewer where the readings have fewer distinct phases.
@@ -49,20 +50,20 @@ impl Default for PergamOptions {
 /// One Gaussian of a [`Pergam`], in plain numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PergamGaussian {
-    /// Its mean contribution to the probability over a period, in `[0,1]`: w_j/τ of Waldo eq. 7.
+    /// The mean contribution of the Gaussian to the probability over a period, in `[0,1]`: w_j/τ of Waldo eq. 7.
     pub weight: f64,
-    /// Its position in the period, μ_j, in seconds from the start, from 0 to the period.
+    /// The position of the Gaussian in the period, μ_j, in seconds from the start, from 0 to the period.
     pub mean_secs: f64,
-    /// Its width, σ_j, in seconds; above 0, at most the period.
+    /// The width of the Gaussian, σ_j, in seconds; above 0, at most the period.
     pub deviation_secs: f64,
 }
 
-/// What a [`Pergam`] consists of, for storage.
+/// The parts of a [`Pergam`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PergamParts {
     /// The period τ, in nanoseconds.
     pub period_nanos: i64,
-    /// Its Gaussians; none if the state was never on.
+    /// The Gaussians; none if the state was never on.
     pub gaussians: Vec<PergamGaussian>,
 }
 
@@ -75,8 +76,9 @@ pub struct Pergam {
 }
 
 impl Pergam {
-    /// The mixture that expectation-maximisation finds, the likeliest of several seeded starts. Phases are taken to a
-    /// 1,440th of the period; one that was never observed is interpolated between its observed neighbours.
+    /// Trains the mixture by expectation-maximisation and keeps the likeliest of several seeded starts. Phases have a
+    /// resolution of a 1,440th of the period; a phase that was never observed is interpolated between its observed
+    /// neighbours.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings, or an option or a value is outside its range.
@@ -97,7 +99,7 @@ impl Pergam {
         Ok(Pergam::of(PergamParts { period_nanos: options.period_nanos, gaussians: gaussians.collect() }))
     }
 
-    /// Built from its stored parts, so that a model that is read back predicts the same to the last bit.
+    /// Builds the model from its stored parts, so that a stored model has equal predictions to the last bit.
     fn of(parts: PergamParts) -> Pergam {
         let period_secs = parts.period_nanos as f64 / 1e9;
         let wrapped = parts.gaussians.iter().map(|gaussian| WrappedGaussian {
@@ -117,7 +119,7 @@ impl Pergam {
         InvalidParts::check("period_secs", period_secs, 1.0..=PERIOD_MAX_NANOS as f64 / 1e9)?;
         InvalidParts::check("gaussians", parts.gaussians.len() as f64, 0.0..=PergamOptions::GAUSSIANS_MAX as f64)?;
         for gaussian in &parts.gaussians {
-            // Room for rounding.
+            // The upper limit leaves room for rounding.
             InvalidParts::check("weight", gaussian.weight, 0.0..=1.01)?;
             InvalidParts::check("mean_secs", gaussian.mean_secs, 0.0..=period_secs)?;
             InvalidParts::check("deviation_secs", gaussian.deviation_secs, period_secs * 1e-6..=period_secs * 1.01)?;
@@ -125,7 +127,7 @@ impl Pergam {
         Ok(Pergam::of(parts.clone()))
     }
 
-    /// The parts of the model; a model built from them is the same to the last bit.
+    /// The parts of the model; a model built from them is equal to the last bit.
     pub fn to_parts(&self) -> PergamParts {
         self.parts.clone()
     }

@@ -1,8 +1,8 @@
 //! The Poisson-spectral model of counts: the expected number of events in an interval, with a periodic rate.
 //!
-//! After Jovan et al., "A Poisson-Spectral Model for Modelling the Spatio-Temporal Patterns in Human Data", IROS 2016:
-//! counts per interval are Poisson with a rate under a Gamma prior, and the rate is a mean and its strongest periodic
-//! components. Invariant: the rate is positive and finite.
+//! The method is from Jovan et al., "A Poisson-Spectral Model for Modelling the Spatio-Temporal Patterns in Human
+//! Data", IROS 2016: counts per interval are Poisson with a rate under a Gamma prior, and the rate is a mean and its
+//! strongest periodic components. Invariant: the rate is positive and finite.
 
 use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
@@ -27,8 +27,8 @@ const PRIOR_EVENTS: f64 = 0.5;
 const PRIOR_BINS: f64 = 1.0;
 /// The maximum count of a bin.
 const COUNT_MAX: f64 = 1e12;
-/// A lower order is preferred if its log-likelihood is within this of the highest: ln 20. Among the strongest of many
-/// candidates, noise alone often gains a nat or two on held-out days.
+/// A lower order is preferred if its log-likelihood is within this of the highest: ln 20. The strongest of many
+/// candidates often gain a nat or two on held-out days by noise alone.
 const NEAR_TIE_NATS: f64 = 3.0;
 /// With fewer days no days are held out.
 const DAYS_MIN: usize = 4;
@@ -40,22 +40,22 @@ pub struct PoissonSpectral {
     parts: PoissonSpectralParts,
 }
 
-/// What a [`PoissonSpectral`] consists of, for storage; the caller stores the periodicities.
+/// The parts of a [`PoissonSpectral`], for storage; the caller stores the periodicities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoissonSpectralParts {
     /// Length of a bin in nanoseconds, a second to 400 days.
     pub bin_nanos: i64,
     /// Mean count of a bin, above 0.
     pub mean: f64,
-    /// The rate is never below this count of a bin; above 0.
+    /// The lower bound of the rate, in counts of a bin; above 0.
     pub floor: f64,
     /// The components in use, strongest first, at most [`ORDER_MAX`], in counts of a bin.
     pub components: Vec<Component>,
 }
 
 impl PoissonSpectral {
-    /// Trains on counts: the values of all readings in a bin are added up, a bin without a reading counts as unobserved
-    /// (so a counter that saw nobody must report 0). Bins are of local civil time, from 1970.
+    /// Trains on counts. The values of all readings in a bin are added up; a bin without a reading counts as unobserved
+    /// (so a counter that detects nobody must report 0). Bins are of local civil time, from 1970.
     ///
     /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a
     /// small positive rate. The rate is at least ½/(1 + days), the rate of a time of day without any count, but this
@@ -146,7 +146,8 @@ impl PoissonSpectral {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
-            // |γ| is at most twice the mean of the counts, and that at most twice the posterior's; room for rounding.
+            // The magnitude of γ is at most twice the mean of the counts, and this mean at most twice the posterior's.
+            // The limit leaves room for rounding.
             let max_amplitude = 4.0 * parts.mean + 1.0;
             InvalidParts::check(
                 "component index",
@@ -198,7 +199,7 @@ fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64, stop:
     let log_likelihood = |order: usize| -> f64 {
         let of_bin = |bin: &Bin| {
             let expected = model.count(order, bin.centre_nanos);
-            // Without ln(count!), which is the same for every order.
+            // The term ln(count!) is omitted, because it is equal for every order.
             bin.count * libm::log(expected) - expected
         };
         held_out.iter().map(of_bin).sum()

@@ -17,7 +17,7 @@ mod learning;
 #[cfg(test)]
 mod tests;
 
-/// Maximum slots of history; older ones are forgotten. One and a half years of slots of ten minutes.
+/// Maximum number of slots of history; older slots are forgotten. It is one and a half years of slots of ten minutes.
 const HISTORY_MAX: usize = 80_000;
 
 /// The options of a [`Presence`].
@@ -41,7 +41,7 @@ pub struct PresenceOptions {
 impl PresenceOptions {
     /// The maximum number of places.
     pub const PLACES_MAX: usize = 64;
-    /// The maximum number of slots of a day: minutes.
+    /// The maximum number of slots of a day: one a minute.
     pub(crate) const SLOTS_MAX: usize = 1440;
 
     /// Defaults for the given numbers of places and slots: rates are smoothed over an hour, and shrunk with a weight of
@@ -98,7 +98,7 @@ struct PresenceSlot {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Presence {
     options: PresenceOptions,
-    /// By slot of the day: the probability, for each place of the slot before, of each place.
+    /// For each slot of the day: the probability of each place, for each place of the slot before.
     transitions: Vec<f64>,
     history: VecDeque<PresenceSlot>,
     /// The probabilities in the first slot that is kept, before its observation.
@@ -127,8 +127,8 @@ impl Presence {
         Ok(Presence { options, transitions, history: VecDeque::new(), initial, belief })
     }
 
-    /// Advances to the next slot, `slot_of_day`; numbers beyond the day wrap around. A day may repeat or skip slots, as
-    /// when the clocks change.
+    /// Advances to the next slot, `slot_of_day`; numbers beyond the day wrap around. A day may repeat or skip slots,
+    /// for example when the clocks change.
     pub fn advance(&mut self, slot_of_day: usize) {
         let of_day = slot_of_day % self.options.slots_per_day;
         if !self.history.is_empty() {
@@ -153,7 +153,7 @@ impl Presence {
         }
     }
 
-    /// The probability of each place in the present slot, by all observations so far.
+    /// The probability of each place in the present slot, from all observations so far.
     pub fn probabilities(&self) -> &[f64] {
         &self.belief
     }
@@ -180,7 +180,7 @@ impl Presence {
         }
     }
 
-    /// The rates into the slot of a day: row by row of the place before.
+    /// The rates into the slot of a day: one row for each place in the slot before.
     fn transitions_into(&self, slot_of_day: usize) -> &[f64] {
         let size = self.options.places * self.options.places;
         &self.transitions[slot_of_day * size..(slot_of_day + 1) * size]
@@ -197,7 +197,7 @@ impl Presence {
         next
     }
 
-    /// The information of the oldest slot is kept in the initial probabilities of the next.
+    /// Forgets the oldest slot; the initial probabilities of the next slot keep its information.
     fn forget_first(&mut self) {
         if let Some(slot) = self.history.pop_front() {
             if let Some(observation) = slot.observation {
@@ -210,7 +210,7 @@ impl Presence {
     }
 }
 
-/// The probabilities given an observation. One that contradicts them replaces them.
+/// Updates the probabilities by an observation. An observation that contradicts them replaces them.
 fn condition(belief: &mut [f64], observation: PresenceObservation) {
     for (place, p) in belief.iter_mut().enumerate() {
         if (place == observation.place) != observation.there {
@@ -230,7 +230,7 @@ fn normalise(values: &mut [f64]) {
     let total: f64 = values.iter().sum();
     if total > 0.0 {
         values.iter_mut().for_each(|value| *value /= total);
-        // Of numbers so small that they have lost digits, nothing is promised.
+        // The check excludes numbers so small that they have lost digits.
         debug_assert!(
             total < f64::MIN_POSITIVE || (values.iter().sum::<f64>() - 1.0).abs() < 1e-9,
             "probabilities sum to 1: {values:?}"

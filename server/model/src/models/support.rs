@@ -1,8 +1,8 @@
 //! The number of components of a spectral model that the observations support.
 //!
 //! The strongest of 168 candidates is never 0, even for noise. There are two independent tests, and either suffices:
-//! how likely noise of the same dependence has such a peak in its periodogram ([`supported_order`]), and whether
-//! predictions improved day after day ([`OrderGains`]). Invariant: more observations of the same kind never lower the
+//! the probability that noise of equal dependence has such a peak in its periodogram ([`supported_order`]), and whether
+//! predictions improved day after day ([`OrderGains`]). Invariant: more observations of equal kind never lower the
 //! number; no result is NaN.
 
 use crate::special::square;
@@ -18,10 +18,10 @@ mod tests;
 /// probability.
 const FALSE_ALARM: f64 = 0.01;
 
-/// Shares of the variance above this count as this: a state that is nothing but its components still has noise.
+/// The upper limit of a share of the variance: a state that consists only of its components still has noise.
 const SHARE_MAX: f64 = 0.999;
 
-/// How much successive readings depend on each other, from sums that are kept anyway.
+/// The dependence of successive readings, from sums that are kept for other purposes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DependenceSums {
     /// Number of pairs of successive readings: [`PersistenceParts::pairs`](crate::PersistenceParts::pairs).
@@ -43,24 +43,24 @@ pub struct DependenceSums {
 ///
 /// Readings of a state that changes slowly repeat each other. With a correlation ρ of neighbours that fades
 /// exponentially (the state as a two-state Markov chain, RAS 2017 section 4.2), the mean of N readings, and any slow
-/// component of their spectrum, vary as those of N(1 - ρ)/(1 + ρ) independent ones (G. V. Bayley and J. M. Hammersley,
-/// "The 'Effective' Number of Independent Observations in an Autocorrelated Time Series", 1946). Of values of variance
-/// v, E(Δs)² = 2v(1 - ρ), and (Δs)² = |Δs| where they are 0 or 1. So 1 - ρ is the mean rate of change times the mean
-/// time between readings, over 2μ(1-μ). Values between 0 and 1 vary less than that allows, which lowers the number and
-/// is conservative.
+/// component of their spectrum, have the variance of N(1 - ρ)/(1 + ρ) independent readings (G. V. Bayley and J. M.
+/// Hammersley, "The 'Effective' Number of Independent Observations in an Autocorrelated Time Series", 1946). For values
+/// of variance v, E(Δs)² = 2v(1 - ρ), and (Δs)² = |Δs| if they are 0 or 1. So 1 - ρ is the mean rate of change times
+/// the mean time between readings, over 2μ(1-μ). Values between 0 and 1 vary less than that allows, which lowers the
+/// number and is conservative.
 ///
 /// If there are observed hours, the observed time counts instead of the span, with at least one reading an hour.
 ///
-/// Of readings at irregular times the mean rate of change times the mean gap is more than the mean change, because
-/// short gaps have high rates. So the mean of the changes is a second bound: with independent gaps, 1 - ρ
-/// of the formula is the mean of 1 - e^(-gap/τ), which is what changes count. At regular times both are the same.
+/// For readings at irregular times, the mean rate of change times the mean gap is more than the mean change, because
+/// short gaps have high rates. So the mean of the changes is a second bound: with independent gaps, 1 - ρ of the
+/// formula is the mean of 1 - e^(-gap/τ), and the changes measure this mean. At regular times both bounds are equal.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
     let variance = sums.mean * (1.0 - sums.mean);
     let forgotten = |spacing: Spacing| if variance > 0.0 { 0.5 * spacing.change / variance } else { 0.0 };
     effective(sums, spacings(sums).map(forgotten))
 }
 
-/// From a reading to the next.
+/// The statistics from one reading to the next.
 #[derive(Clone, Copy, Debug, Default)]
 struct Spacing {
     /// The mean change.
@@ -68,8 +68,8 @@ struct Spacing {
     secs: f64,
 }
 
-/// Three spacings of the readings: spread over the span; spread over the observed hours; and over the span, with the
-/// changes that were counted.
+/// Three spacings of the readings: spread over the span; spread over the observed hours; and spread over the span, with
+/// the changes that were counted.
 fn spacings(sums: &DependenceSums) -> [Spacing; 3] {
     let pairs = sums.pairs.max(1) as f64;
     let spread = |secs: f64| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs };
@@ -77,7 +77,7 @@ fn spacings(sums: &DependenceSums) -> [Spacing; 3] {
     [spread(sums.span_secs), spread(sums.observed_hours * 3600.0), counted]
 }
 
-/// `forgotten`: 1 - ρ by each of the [`spacings`].
+/// The effective number. `forgotten`: 1 - ρ by each of the [`spacings`].
 fn effective(sums: &DependenceSums, forgotten: [f64; 3]) -> f64 {
     let pairs = sums.pairs as f64;
     let over = |forgotten: f64| {
@@ -94,17 +94,17 @@ fn effective(sums: &DependenceSums, forgotten: [f64; 3]) -> f64 {
     };
     let number = if number.is_nan() { number } else { number.min(over(forgotten[2])) };
     let readings = sums.pairs as f64 + 1.0;
-    // NaN, from invalid sums, supports nothing.
+    // Invalid sums give NaN, which supports nothing.
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
 }
 
-/// Half the mean squared change from a reading to the next, computed from the mean change, of values in `[0,1]`. Exact
-/// where they are 0 or 1, otherwise too large.
+/// Half the mean squared change from a reading to the next, computed from the mean change, for values in `[0,1]`. It is
+/// exact if they are 0 or 1, otherwise too large.
 pub(crate) fn half_square_of_probabilities(change: f64) -> f64 {
     0.5 * change
 }
 
-/// Half the mean squared change from a reading to the next, computed from the mean change, of values with a normal
+/// Half the mean squared change from a reading to the next, computed from the mean change, for values with a normal
 /// distribution, for which E|Δs| = 2σ√((1 - ρ)/π).
 pub(crate) fn half_square_of_values(change: f64) -> f64 {
     std::f64::consts::FRAC_PI_4 * change * change
@@ -112,21 +112,22 @@ pub(crate) fn half_square_of_values(change: f64) -> f64 {
 
 /// The number of a model's strongest components that are supported, 0..=[`ORDER_MAX`](crate::ORDER_MAX).
 ///
-/// Components are tested in turn. Of N independent readings, a component at one period has the share x or more of the
-/// variance with probability (1 - x)^((N-3)/2), and the strongest of K candidates has it with 1 - (1 - that)^K (M.
-/// Zechmeister and M. Kürster, "The generalised Lomb-Scargle periodogram", A&A 2009, section 4). x is the share of the
-/// variance that the components before leave of μ(1-μ), the largest of values in `[0,1]`. N is the number of
-/// [`effective_observations`] of what the component leaves: a component explains part of the change from a reading to
-/// the next, 4|γ|²(1 - cos ωΔt), and part of the variance, 2|γ|²; both are taken out, so that a rhythm's own slowness
-/// is no evidence against it. The first component that noise shows with a probability of 1 % or more ends the test. To
-/// use supported components only, predict with `order.min(supported)`.
+/// Components are tested in turn. For N independent readings, a component at one period has the share x or more of the
+/// variance with probability q = (1 - x)^((N-3)/2), and the strongest of K candidates has it with probability 1 - (1 -
+/// q)^K (M. Zechmeister and M. Kürster, "The generalised Lomb-Scargle periodogram", A&A 2009, section 4). x is the
+/// component's share of the variance that the earlier components leave of μ(1-μ), the largest variance of values in
+/// `[0,1]`. N is the number of [`effective_observations`] without the component's own part: a component explains part
+/// of the change from a reading to the next, 4|γ|²(1 - cos ωΔt), and part of the variance, 2|γ|²; both are subtracted,
+/// so that a rhythm's own slowness is no evidence against it. The test ends at the first component that noise reaches
+/// with a probability of 1 % or more. To use supported components only, predict with `order.min(supported)`.
 pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, sums: &DependenceSums) -> usize {
     let variance = model.mean() * (1.0 - model.mean());
     supported_order_of(model, periodicities, sums, (half_square_of_probabilities, variance), 1.0)
 }
 
-/// [`supported_order`] of values with the given variance, and half the mean squared change of neighbours as a function
-/// of their mean change. `remembered`: the weight of the readings over their number, below 1 with forgetting.
+/// Does the same as [`supported_order`] for values with the given variance, with half the mean squared change of
+/// neighbours as a function of their mean change. `remembered`: the weight of the readings over their number, below 1
+/// with forgetting.
 pub(crate) fn supported_order_of(
     model: &SpectralModel,
     periodicities: &Periodicities,

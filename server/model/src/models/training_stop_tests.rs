@@ -1,4 +1,4 @@
-//! Trainings that are told to stop, of every model whose training takes long.
+//! Trainings that are stopped early, of every model whose training takes long.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -13,7 +13,7 @@ fn readings(count: i64) -> Vec<Sample> {
     (0..count).map(|hour| Sample { utc_nanos: hour * HOUR_NANOS, offset_secs: 0, value: value(hour) }).collect()
 }
 
-/// Stops a training after several numbers of questions: each time it ends soon after, without a model.
+/// Stops a training after several numbers of checks of the signal: each time it ends soon after, without a model.
 fn is_stopped(name: &str, most_after: usize, train: impl Fn(StopSignal<'_>) -> Result<(), CannotTrain>) {
     let asked = AtomicUsize::new(0);
     let train_until = |after: usize| {
@@ -40,7 +40,7 @@ fn a_training_that_is_told_to_stop_ends_soon_and_gives_no_model() {
     let samples = readings(21 * 24);
     for method in [HypertimeMethod::Em, HypertimeMethod::Km] {
         let options = HypertimeOptions { method, clusters: 3, seed: 0 };
-        // The attempt under way ends: for each of its models a round of clusters and a step.
+        // The attempt under way ends: for each of its models there is one more round of clusters and a step.
         is_stopped("probability", 30, |stop| {
             Hypertime::train(until(&samples, stop), &Periodicities::default(), &options).map(drop)
         });

@@ -20,11 +20,11 @@ use regular::{STEPS_MAX, off_time, regular};
 mod tests;
 
 /// A probability within this below 0.5 counts as 0.5: components of a square wave meet there exactly, and machines that
-/// round the last digit differently must agree.
+/// round the last digit differently must get equal results.
 const TIE: f64 = 1e-9;
 /// Weaker components are rounding errors.
 const GAMMA_MIN: f64 = 1e-12;
-/// States between two looks at the stop signal.
+/// Number of states between two checks of the stop signal.
 const STATES_PER_CHECK: usize = 4096;
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
@@ -33,11 +33,11 @@ const STATES_PER_CHECK: usize = 4096;
 #[derive(Clone, Debug, PartialEq)]
 pub struct UniformSpectral {
     parts: UniformSpectralParts,
-    /// The outlier set decoded: the steps at which the estimate starts and stops differing from the state, ascending.
+    /// The decoded outlier set: the steps at which the estimate starts and stops differing from the state, ascending.
     outliers: Vec<u32>,
 }
 
-/// What a [`UniformSpectral`] consists of, for storage.
+/// The parts of a [`UniformSpectral`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UniformSpectralParts {
     /// Time of the first reading: UTC, nanoseconds since 1970.
@@ -62,8 +62,8 @@ pub struct UniformSpectralParts {
 }
 
 impl UniformSpectral {
-    /// The `order` strongest components of the readings' Fourier transform, and the outliers that they leave. All
-    /// readings have equal weight.
+    /// Trains the `order` strongest components of the readings' Fourier transform, and the outliers that they leave.
+    /// All readings have equal weight.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
@@ -182,8 +182,8 @@ impl UniformSpectral {
         ends.sum::<f64>() / f64::from(self.parts.steps)
     }
 
-    /// The compression ratio r = m/z of T-RO eq. 16 for one state: m readings would take one bit each, z is the size of
-    /// what is stored, in bits. Lossless with the outlier set, lossy without it.
+    /// The compression ratio r = m/z of T-RO eq. 16 for one state: m readings would take one bit each, and z is the
+    /// size of the stored parts, in bits. It is lossless with the outlier set and lossy without it.
     ///
     /// The size is that of [`UniformSpectralParts`]: 288 bits, 160 a component and the bytes of the outlier set.
     pub fn compression_ratio(&self, with_outliers: bool) -> f64 {
@@ -286,7 +286,7 @@ impl UniformSpectral {
 }
 
 impl TemporalModel for UniformSpectral {
-    /// p(t) by the spectrum alone, continued periodically before and after its readings (T-RO eq. 10).
+    /// p(t) from the spectrum alone, continued periodically before and after its readings (T-RO eq. 10).
     fn predict(&self, at: Moment) -> f64 {
         self.predict_at_order(ORDER_MAX, at)
     }
@@ -306,7 +306,7 @@ fn binary(sample: &Sample) -> Result<bool, CannotTrain> {
     }
 }
 
-/// Mean and strongest components of the transform, ties: the slower first.
+/// Mean and strongest components of the transform; of equal components the slower comes first.
 fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), CannotTrain> {
     let transform = RealFftPlanner::<f64>::new().plan_fft_forward(states.len());
     let mut values: Vec<f64> = states.iter().map(|&state| f64::from(u8::from(state))).collect();

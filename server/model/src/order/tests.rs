@@ -1,4 +1,4 @@
-//! What `order.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `order.rs`, against a naive oracle where there is one.
 
 use super::*;
 
@@ -23,7 +23,7 @@ fn the_lowest_error_wins_and_near_ties_go_to_the_lower_order() {
     assert_eq!(best_of(&[(3, 10.0), (7, 10.0)]), 3);
     assert_eq!(best_of(&[(3, 10.009), (7, 10.0)]), 3);
     assert_eq!(best_of(&[(3, 10.011), (7, 10.0)]), 7);
-    // Measured against the lowest, not against each other.
+    // Each error is compared with the lowest, not with its neighbour.
     assert_eq!(best_of(&[(2, 10.018), (3, 10.009), (7, 10.0)]), 3);
     assert_eq!(best_of(&[(4, 0.0), (9, 0.0)]), 4);
 }
@@ -35,7 +35,7 @@ fn errors_fade_with_the_days_that_are_observed() {
     order_errors.record(LocalDay(101), &[1.0; ORDER_MAX + 1]);
     assert!((order_errors.sums()[5] - (2.0 * 0.93 + 1.0)).abs() < 1e-12);
     order_errors.record(LocalDay(111), &[0.5; ORDER_MAX + 1]);
-    // Ten days later, but one observed day.
+    // The next record is ten days later, but one observed day.
     let expected = (2.0 * 0.93 + 1.0) * 0.93 + 0.5;
     assert!((order_errors.sums()[5] - expected).abs() < 1e-12);
     assert_eq!(order_errors.last_day(), Some(LocalDay(111)));
@@ -68,7 +68,7 @@ fn a_place_that_is_seen_monthly_is_judged_by_all_its_looks() {
     for month in 0..11 {
         order_errors.record(LocalDay(30 * month), &errors(&[(1, 5.0), (2, 8.0)]));
     }
-    // One look that order 2 predicts better, by less than the others together.
+    // Order 2 predicts one day better, but by less than it loses on the others together.
     order_errors.record(LocalDay(330), &errors(&[(1, 9.0), (2, 0.0)]));
     assert_eq!(order_errors.best(), 1);
 }

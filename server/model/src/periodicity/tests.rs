@@ -1,4 +1,4 @@
-//! What `periodicity.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `periodicity.rs`, against a naive oracle where there is one.
 
 use super::*;
 

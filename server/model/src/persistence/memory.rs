@@ -1,4 +1,4 @@
-//! The short-term memory of RAS 2017, section 4.2: a two-state chain whose rates allow for changes that nobody saw.
+//! The short-term memory of RAS 2017, section 4.2: a two-state chain whose rates allow for unobserved changes.
 //!
 //! Persistence assumes that a state did not change between two equal observations. The chain does not: its rates α
 //! (from 0 to 1) and β (back) make the observed share of changes plausible for the time between observations. Nothing
@@ -12,18 +12,18 @@ use super::{Persistence, secs_between};
 /// observations.
 const PRIOR_MEMORY_SECS: f64 = 1800.0;
 
-/// What the memory of a state needs beside its [`Persistence`].
+/// The inputs that the memory of a state needs beside its [`Persistence`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MemoryBasis {
-    /// Change of a value that counts as one, as in [`Persistence::tau_secs_of`]: 1 for a probability.
+    /// The change of a value that counts as one, as in [`Persistence::tau_secs_of`]: 1 for a probability.
     pub usual_change: f64,
-    /// Mean of the state, as a share of the time in which it is 1; 0.5 for states that are no probabilities.
+    /// Mean of the state, as the share of the time in which it is 1; 0.5 for states that are not probabilities.
     pub mean: f64,
-    /// Time of the first observation: UTC, nanoseconds since 1970. `None` if it is unknown: then changes are assumed to
-    /// be seldom compared with observations.
+    /// Time of the first observation: UTC, nanoseconds since 1970. If it is `None` (unknown), changes are assumed to be
+    /// rare compared with observations.
     pub first_nanos: Option<i64>,
-    /// The 1/(α+β) that makes the learned readings most likely, in seconds, above 0. `None` where only sums are known:
-    /// then it follows from these.
+    /// The 1/(α+β) that makes the learned readings most likely, in seconds, above 0. If it is `None`, only sums are
+    /// known, and 1/(α+β) is computed from them.
     pub most_likely_secs: Option<f64>,
 }
 
@@ -41,7 +41,7 @@ impl Persistence {
         }
         let pairs = self.parts.pairs as f64;
         let change = if basis.usual_change > 0.0 && basis.usual_change.is_finite() { basis.usual_change } else { 1.0 };
-        // Between the mean and one half, because few observations do not tell the mean.
+        // The share lies between the mean and one half, because few observations do not determine the mean.
         let share = (basis.mean.clamp(0.0, 1.0) * pairs + 0.5) / (pairs + 1.0);
         let rate = self.parts.change_rate_sum / change / (2.0 * share * (1.0 - share));
         let gap_secs = match (basis.first_nanos, self.parts.last) {
@@ -66,8 +66,8 @@ impl Persistence {
         }
     }
 
-    /// The long-term prediction `p` for a time, drawn to the last value by the chain: RAS 2017, eq. 6, with `p` for the
-    /// chain's constant α/(α+β).
+    /// The long-term prediction `p` for a time, drawn to the last value by the chain: RAS 2017, eq. 6, with `p` in
+    /// place of the chain's constant α/(α+β).
     pub fn remember(&self, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
         let weight = self.memory_weight(basis, None, utc_nanos);
         self.parts.last.map_or(p, |(_, last_value)| last_value * weight + p * (1.0 - weight))
@@ -80,7 +80,7 @@ mod tests {
 
     use super::*;
 
-    /// A chain with the given 1/(α+β) and share of ones, seen at gaps that vary by up to `spread` of their mean.
+    /// A chain with the given 1/(α+β) and share of ones, observed at gaps that vary by up to `spread` of their mean.
     fn chain(memory_secs: f64, share: f64, gap_secs: f64, spread: f64) -> (Persistence, MemoryBasis) {
         let mut random = SmallRng::seed_from_u64(7);
         let (mut known, mut at_secs, mut value, mut sum) = (Persistence::default(), 0.0, false, 0.0);
@@ -110,7 +110,7 @@ mod tests {
             let found = known.memory_secs(basis);
             assert!((found / memory_secs - 1.0).abs() < 0.25, "{memory_secs} {share} {gap_secs}: {found}");
         }
-        // Persistence takes it for slower, because it counts every change that it sees as the only one.
+        // Persistence estimates slower changes, because it counts every observed change as the only one.
         let (known, basis) = chain(3600.0, 0.3, 3600.0, 0.5);
         assert!(known.tau_secs() > 1.5 * known.memory_secs(basis));
     }

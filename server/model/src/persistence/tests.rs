@@ -1,4 +1,4 @@
-//! What `persistence.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `persistence.rs`, against a naive oracle where there is one.
 
 use super::*;
 

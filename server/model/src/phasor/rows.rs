@@ -3,13 +3,13 @@
 //! Invariant: each row begins at a cache line, so that no vector lies across two, and a row takes an odd number of
 //! lines, so that the same positions of many rows do not compete for the same cache sets.
 
-/// Numbers of a cache line, which is 64 bytes.
+/// Number of values in a cache line, which is 64 bytes.
 const LINE: usize = 8;
 
 /// Rows of equal length.
 #[derive(Debug)]
 pub(crate) struct AlignedRows {
-    /// Room to begin at a line, then the rows.
+    /// Padding up to the first cache line, then the rows.
     entries: Vec<f64>,
     start: usize,
     stride: usize,

@@ -1,4 +1,4 @@
-//! What `phasor.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `phasor.rs`, against a naive oracle where there is one.
 
 use proptest::prelude::*;
 use pulp::Arch;

@@ -41,7 +41,7 @@ pub(crate) fn nearest_turn<S: Simd>(simd: S, turns: S::f64s) -> S::f64s {
 /// Cosine and sine of phases from -0.5 to 0.5 turns.
 #[inline(always)]
 pub(crate) fn unit_phasor<S: Simd>(simd: S, turns: S::f64s) -> (S::f64s, S::f64s) {
-    // A quarter of the angle lies within ±π/4, where short polynomials do; squaring twice restores it.
+    // A quarter of the angle lies within ±π/4, where short polynomials are precise; squaring twice restores the angle.
     let quarter = simd.mul_f64s(turns, simd.splat_f64s(FRAC_PI_2));
     let square = simd.mul_f64s(quarter, quarter);
     let mut cos = simd.splat_f64s(COS[7]);

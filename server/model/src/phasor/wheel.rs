@@ -1,8 +1,8 @@
 //! All harmonics of a group of phases by recurrence: two fused multiply-adds a harmonic and vector.
 //!
-//! cos((k+1)θ) = 2·cosθ·cos kθ - cos((k-1)θ), likewise for sine. Its rounding error grows with the
-//! square of the number of steps, so every 64 steps it starts again from a power of e^(j64θ).
-//! Invariant: errors stay below 1e-11 up to harmonic 2048.
+//! cos((k+1)θ) = 2·cosθ·cos kθ - cos((k-1)θ), and the same for sine. The rounding error grows with the square of the
+//! number of steps, so every 64 steps the recurrence starts again from a power of e^(j64θ). Invariant: errors stay
+//! below 1e-11 up to harmonic 2048.
 
 use pulp::Simd;
 
@@ -53,7 +53,7 @@ impl<S: Simd> Wheels<S> {
         wheels
     }
 
-    /// The harmonics of the block; the first `step` gives its first.
+    /// The harmonics of the block; the first `step` returns the first harmonic.
     #[inline(always)]
     pub(crate) fn spin(&self, simd: S) -> Spin<S> {
         let zero = simd.splat_f64s(0.0);

@@ -1,4 +1,4 @@
-//! What `phasor_sum.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `phasor_sum.rs`, against a naive oracle where there is one.
 
 use proptest::prelude::*;
 
@@ -8,7 +8,7 @@ use crate::phasor::every_arch;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// Σ e^(-jω_k t) as the definition says, one `sin_cos` each, phases reduced in 128-bit integers.
+/// Σ e^(-jω_k t) by its definition, one `sin_cos` each, phases reduced in 128-bit integers.
 fn oracle(periodicities: &Periodicities, times: &[i64]) -> Vec<f64> {
     let count = periodicities.len();
     let mut parts = vec![0.0; 2 * count];

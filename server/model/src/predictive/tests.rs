@@ -1,4 +1,4 @@
-//! Properties of predictive distributions, and their values against a simulated chain.
+//! Tests properties of predictive distributions, and their values against a simulated chain.
 
 use proptest::prelude::*;
 
@@ -44,7 +44,7 @@ fn nonsense_is_answered_by_what_is_known_without_looks() {
 #[test]
 fn an_hour_of_a_state_that_seldom_changes_is_all_or_nothing() {
     let slow = Predictive::new(0.4, 1e6, 0.99).interval(0.5);
-    // Six hours of ten are without a single 1.
+    // Six hours of ten do not contain a single 1.
     assert!(slow.interval.lower == 0.0 && slow.interval.upper <= 0.41 && slow.mass > 0.55, "{slow:?}");
     let fast = Predictive::new(0.4, 1e6, 0.01).interval(0.9);
     assert!(slow.interval.upper - slow.interval.lower < 0.45 && fast.interval.upper < 0.75, "{fast:?}");

@@ -1,9 +1,8 @@
-//! How far the rows of a state have been learned.
+//! The progress of learning the rows of a state.
 //!
 //! Invariant: an instant is learned once. Rows that come late, about instants that were learned without them, are
-//! learned as the readings that they are, unless all rows are learned anew; rows from before everything that was
-//! learned hold up to there. Where learning stops early, the rows from there on wait here, and learning goes on as if
-//! it had not stopped.
+//! learned as readings, unless all rows are learned anew; rows from before the first learned instant hold up to it. If
+//! learning stops early, the rows from there on wait here, and learning continues as if it had not stopped.
 
 use std::sync::Arc;
 
@@ -12,32 +11,33 @@ use super::{
     readings::{RowReadings, RowSpan, sum},
 };
 
-/// How far the rows of a state have been learned.
+/// The progress of learning the rows of a state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LearnedRows {
     /// Number of rows, those that wait included.
     pub rows: u64,
-    /// The first instant that was learned; `None`: none was.
+    /// The first instant that was learned; `None` if none was.
     pub first_nanos: Option<i64>,
     /// The next instant to learn; 0 before the first.
     pub next_nanos: i64,
     /// The newest row.
     pub newest: Option<Row>,
-    /// Events since the next instant, which wait for the end of their step; `None`: there is no row of such.
+    /// Number of events since the next instant, which wait for the end of their step; `None` if there is no row since
+    /// then.
     pub open_events: Option<f64>,
-    /// Rows that were taken and are not learned, because learning stopped before them; ascending by time.
+    /// Rows that were received and are not learned, because learning stopped before them; ascending by time.
     pub waiting: Arc<[Row]>,
 }
 
 impl LearnedRows {
-    /// The readings that new rows stand for, after the rows learned before, and what is learned with them. The rows
-    /// ascend by time; the last of equal times counts. `horizon_nanos`: the rows are known to be complete up to there,
-    /// exclusive; later rows move it.
+    /// The readings that new rows represent after the rows learned before, and the progress with them. The rows ascend
+    /// by time; the last of equal times counts. `horizon_nanos`: the rows are complete up to this time, exclusive;
+    /// later rows move it.
     pub fn learn(self, reporting: Reporting, rows: Vec<Row>, horizon_nanos: i64) -> (RowReadings, LearnedRows) {
         self.learn_before(reporting, rows, horizon_nanos, i64::MAX)
     }
 
-    /// As [`LearnedRows::learn`], but what lies at `stop_nanos` or later waits for the next time.
+    /// Does the same as [`LearnedRows::learn`], but everything at `stop_nanos` or later waits for the next call.
     pub fn learn_before(
         self,
         reporting: Reporting,
@@ -52,7 +52,7 @@ impl LearnedRows {
         before.learn_all(reporting, rows, horizon_nanos.min(stop_nanos))
     }
 
-    /// Rows with those that wait, ascending by time. Of equal times those that wait come first.
+    /// The rows together with the waiting rows, ascending by time. Waiting rows come first at equal times.
     fn with_waiting(&self, rows: Vec<Row>) -> Vec<Row> {
         if self.waiting.is_empty() {
             return rows;
@@ -63,19 +63,19 @@ impl LearnedRows {
         all
     }
 
-    /// At least as many as the readings that [`LearnedRows::learn_before`] returns; at most two more for each row, and
-    /// three. It takes time for each row, and none for a reading.
+    /// An upper bound of the number of readings that [`LearnedRows::learn_before`] returns: it exceeds that number by
+    /// at most two for each row, and three. The cost grows with the rows, not with the readings.
     #[must_use]
     pub fn readings_before(&self, reporting: Reporting, rows: &[Row], horizon_nanos: i64, stop_nanos: i64) -> u64 {
         let Some(hold) = reporting.hold() else { return rows.len() as u64 };
         let first_nanos = self.first_nanos.unwrap_or(i64::MIN).min(stop_nanos);
-        // A row just before the first instant may still say what holds from there on.
+        // A row just before the first instant may still give the value from there on.
         let early_before = first_nanos.min(self.in_time_nanos(reporting, hold));
         let (early, rest) = rows.split_at(rows.partition_point(|(nanos, _)| *nanos < early_before));
         let early = RowWalk { row: None, at_nanos: i64::MIN, readings: 0 }.to(hold, early, first_nanos);
         let merged = (!self.waiting.is_empty()).then(|| self.with_waiting(rest.to_vec()));
         let rest = merged.as_deref().unwrap_or(rest).iter().take_while(|(nanos, _)| *nanos < stop_nanos);
-        // Late events are readings of their own; nothing holds from them on.
+        // Late events are readings themselves; nothing holds from them on.
         let is_late = |nanos| !reporting.is_changes() && self.is_late(reporting, nanos);
         let (late, rest): (Vec<&Row>, Vec<&Row>) = rest.partition(|(nanos, _)| is_late(*nanos));
         // The step of the newest row may have begun with events, and end with the next reading.
@@ -110,7 +110,7 @@ impl LearnedRows {
             spans.push(RowSpan { end_nanos: first_nanos, ..RowSpan::of(reporting, early, from_nanos) });
         }
         if let Some(&last) = late.last() {
-            // A change between the newest row and the last instant that was learned says what holds from there on.
+            // A change between the newest row and the last learned instant gives the value from there on.
             if reporting.is_changes() && self.newest.is_none_or(|newest| last.0 >= newest.0) {
                 learned.newest = Some(last);
             }
@@ -128,7 +128,7 @@ impl LearnedRows {
         let end_nanos = end_nanos.max(self.next_nanos);
         let first_open = rows.partition_point(|(nanos, _)| *nanos < end_nanos);
         let open_events = rows.iter().skip(first_open).fold(None, |open, (_, events)| sum(open, *events));
-        // No step ends before the horizon: what was open is open still.
+        // No step ends before the horizon, so open steps stay open.
         let (waiting, ended) =
             if end_nanos > self.next_nanos { (None, self.open_events) } else { (self.open_events, None) };
         let newest = rows.last().copied().or(self.newest);
@@ -149,7 +149,7 @@ impl LearnedRows {
         self.first_nanos.is_some() && nanos < self.in_time_nanos(reporting, hold)
     }
 
-    /// Rows at this time or later are about instants that were not learned.
+    /// The time from which rows are about instants that were not learned.
     fn in_time_nanos(&self, reporting: Reporting, hold: Hold) -> i64 {
         if reporting.is_changes() {
             self.next_nanos.saturating_sub(hold.step_nanos()).saturating_add(1)
@@ -159,17 +159,17 @@ impl LearnedRows {
     }
 }
 
-/// A walk over rows that counts the readings that they stand for.
+/// A walk over rows that counts the readings that they represent.
 struct RowWalk {
     /// The newest row so far.
     row: Option<Row>,
-    /// Up to where they are counted.
+    /// The time up to which readings are counted.
     at_nanos: i64,
     readings: u64,
 }
 
 impl RowWalk {
-    /// Walks over these rows, of which the last holds up to the end.
+    /// Walks over these rows; the last row holds up to the end.
     fn to<'a>(mut self, hold: Hold, rows: impl IntoIterator<Item = &'a Row>, end_nanos: i64) -> RowWalk {
         for &(nanos, value) in rows {
             self = self.hold_to(hold, nanos);
@@ -182,7 +182,7 @@ impl RowWalk {
         self.hold_to(hold, end_nanos)
     }
 
-    /// The newest row holds up to a time, with one step for what is rounded.
+    /// Lets the newest row hold up to a time, plus one step for rounding.
     fn hold_to(mut self, hold: Hold, to_nanos: i64) -> RowWalk {
         if let Some((nanos, Some(_))) = self.row {
             let held_to = to_nanos.min(nanos.saturating_add(hold.max_nanos()));
@@ -194,7 +194,7 @@ impl RowWalk {
     }
 }
 
-/// The first instant that a row says something about.
+/// The first instant for which a row gives a value.
 fn start(reporting: Reporting, hold: Hold, (nanos, _): &Row) -> i64 {
     if reporting.is_changes() { hold.ceil(*nanos) } else { hold.floor(*nanos) }
 }

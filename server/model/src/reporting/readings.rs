@@ -1,35 +1,35 @@
-//! The readings that rows stand for, one after the other.
+//! The readings that rows represent, one after the other.
 //!
-//! Invariant: they ascend by time, and need no more memory than the rows.
+//! Invariant: the readings ascend by time, and need no more memory than the rows.
 
 use super::{Hold, Reporting, Row};
 
-/// A run of readings: rows, and the instants between which they are read off.
+/// A run of readings: rows, and the instants between which their readings are taken.
 #[derive(Clone, Debug)]
 pub(super) struct RowSpan {
-    /// How its rows are read: as the state reports, or as the readings that they are.
+    /// How the rows are read: as the state reports, or as readings.
     pub(super) reporting: Reporting,
-    /// Ascending by time.
+    /// The rows, ascending by time.
     pub(super) rows: Vec<Row>,
-    /// The row before them that still holds.
+    /// The row before `rows` that still holds.
     pub(super) held: Option<Row>,
     /// The first instant, a multiple of the step.
     pub(super) from_nanos: i64,
     /// The end, exclusive.
     pub(super) end_nanos: i64,
-    /// Events since the first instant that are not among the rows; `None`: there was no such row.
+    /// Number of events since the first instant that are not among the rows; `None` if there was no such row.
     pub(super) open_events: Option<f64>,
 }
 
-/// The readings that rows stand for: nanoseconds UTC and value, ascending. See the top of the file.
+/// The readings that rows represent: nanoseconds UTC and value, ascending. See the top of the file.
 #[derive(Clone, Debug)]
 pub struct RowReadings {
-    /// Last first.
+    /// The spans, last first.
     spans: Vec<Walk>,
     next: Option<(i64, f64)>,
 }
 
-/// Where a span is read.
+/// The progress of reading a span.
 #[derive(Clone, Debug)]
 struct Walk {
     span: RowSpan,
@@ -38,14 +38,14 @@ struct Walk {
 }
 
 impl RowSpan {
-    /// Rows from an instant on; the end is to be set.
+    /// A span of rows from an instant on; the caller has to set the end.
     pub(super) fn of(reporting: Reporting, rows: Vec<Row>, from_nanos: i64) -> RowSpan {
         RowSpan { reporting, rows, held: None, from_nanos, end_nanos: i64::MIN, open_events: None }
     }
 }
 
 impl RowReadings {
-    /// Of spans in order of time that do not overlap.
+    /// The readings of spans in order of time that do not overlap.
     pub(super) fn new(spans: impl IntoIterator<Item = RowSpan>) -> RowReadings {
         let mut spans: Vec<Walk> =
             spans.into_iter().map(|span| Walk { next_row: 0, at_nanos: span.from_nanos, span }).collect();
@@ -122,7 +122,7 @@ impl Walk {
         None
     }
 
-    /// The number of events in the next step of which the sensor knows, at its beginning.
+    /// The number of events in the next step for which the sensor has data, at its beginning.
     fn next_count(&mut self, hold: Hold) -> Option<(i64, f64)> {
         while self.at_nanos < self.span.end_nanos {
             let at = self.at_nanos;
@@ -146,7 +146,7 @@ impl Walk {
     }
 }
 
-/// Events with those of another row; a row that says that nothing is known has none.
+/// The events plus those of another row; a row without a known value has none.
 pub(super) fn sum(events: Option<f64>, more: Option<f64>) -> Option<f64> {
     match (events, more) {
         (Some(events), Some(more)) => Some(events + more),

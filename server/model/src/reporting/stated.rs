@@ -1,23 +1,23 @@
-//! What somebody says about how a state is reported.
+//! What a user states about how a state is reported.
 //!
-//! Invariant: with the usual durations for those that are not stated it is a reporting that a state can have.
+//! Invariant: a statement, completed with the default durations, is a reporting that a state can have.
 
 use super::{Hold, InvalidHold, Reporting};
 
-/// What rows are.
+/// The meaning of rows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum RowKind {
-    /// Readings.
+    /// Rows are readings.
     #[default]
     Samples,
-    /// Changes: a value from then on.
+    /// Rows are changes: a value from then on.
     Changes,
-    /// Events.
+    /// Rows are events.
     Events,
 }
 
 impl RowKind {
-    /// All of them.
+    /// All kinds of rows.
     pub const ALL: [RowKind; 3] = [RowKind::Samples, RowKind::Changes, RowKind::Events];
 
     /// The name in commands and messages.
@@ -30,7 +30,7 @@ impl RowKind {
     }
 }
 
-/// What is said of a state: what its rows are, and durations if they are not the usual ones.
+/// A statement about a state: the kind of its rows, and durations if they differ from the defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatedReporting {
     kind: RowKind,
@@ -38,7 +38,7 @@ pub struct StatedReporting {
     step_secs: Option<u32>,
 }
 
-/// What cannot be said of a state.
+/// The reason why a statement is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidReporting {
     /// A duration is outside its range.
@@ -50,11 +50,11 @@ pub enum InvalidReporting {
 }
 
 impl StatedReporting {
-    /// What is said. `max_secs`: the longest time for which a row says something; `step_secs`: the time between two
-    /// readings that rows stand for; both in seconds, `None`: not stated.
+    /// Creates a statement. `max_secs`: the longest time for which a row holds; `step_secs`: the time between two
+    /// readings that rows represent; both in seconds, `None`: not stated.
     ///
     /// # Errors
-    /// [`InvalidReporting`] where no state can be reported like that.
+    /// [`InvalidReporting`] if no state can be reported like that.
     pub fn new(
         kind: RowKind,
         max_secs: Option<u32>,
@@ -69,12 +69,12 @@ impl StatedReporting {
         Ok(stated)
     }
 
-    /// What rows are.
+    /// The meaning of the rows.
     pub fn kind(self) -> RowKind {
         self.kind
     }
 
-    /// The longest time for which a row says something, in seconds, if it is stated.
+    /// The longest time for which a row holds, in seconds, if it is stated.
     pub fn max_secs(self) -> Option<u32> {
         self.max_secs
     }
@@ -99,7 +99,7 @@ impl StatedReporting {
         }
     }
 
-    /// Whether it is true of a state that is reported like this.
+    /// Whether the statement is true for a state that is reported like this.
     pub fn fits(self, found: Reporting) -> bool {
         let fits = |said: Option<u32>, found: u32| said.is_none_or(|said| said == found);
         self.kind == found.kind()

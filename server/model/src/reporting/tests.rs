@@ -1,4 +1,4 @@
-//! What rows of changes and events stand for, against a naive reading off at each instant.
+//! Tests the readings that rows of changes and events represent, against a naive oracle at each instant.
 
 use proptest::prelude::*;
 
@@ -27,7 +27,7 @@ fn a_stated_hold_is_never_lengthened() {
     let said = |max, step| StatedReporting::new(RowKind::Changes, max, step);
     let found = |max, step| said(max, step).map(StatedReporting::for_new);
     assert_eq!(found(None, None), Ok(Reporting::Changes(Hold::OF_CHANGES)));
-    // Values that hold for less than the usual step are learned as often as they hold.
+    // Values that hold for less than the default step are learned as often as they hold.
     assert_eq!(found(Some(60), None), Ok(changes(60, 60)));
     assert!(said(Some(60), None).is_ok_and(|said| said.fits(said.for_new())));
     assert_eq!(found(Some(60), Some(300)), Err(InvalidHold::Max { max_secs: 60, step_secs: 300 }.into()));
@@ -51,7 +51,7 @@ fn events_are_counted_by_step_and_their_absence_counts_too() {
     let rows = [(30, Some(1.0)), (70, Some(1.0)), (130, Some(2.0)), (450, None), (700, Some(1.0))];
     let expected = [(0, 2.0), (100, 2.0), (200, 0.0), (300, 0.0), (700, 1.0)];
     assert_eq!(read(events(1_000, 100), &rows, 820), expected);
-    // After the longest hold nothing is known; a step that has not ended is not counted.
+    // After the longest hold no value is known; a step that has not ended is not counted.
     assert_eq!(read(events(100, 100), &[(10, Some(1.0))], 1_000), [(0, 1.0), (100, 0.0)]);
     assert_eq!(read(events(1_000, 100), &[(10, Some(1.0)), (110, Some(1.0))], 150), [(0, 1.0)]);
 }
@@ -86,7 +86,7 @@ fn durations_that_make_no_sense_are_refused() {
     assert_eq!(Hold::new(1_000_001, 1), Err(InvalidHold::Readings { max_secs: 1_000_001, step_secs: 1 }));
 }
 
-/// The value of changes at an instant, looked up among all rows.
+/// The value of changes at an instant, searched among all rows.
 fn naive_change(rows: &[Row], max_nanos: i64, at: i64) -> Option<f64> {
     let (nanos, value) = rows.iter().rfind(|(nanos, _)| *nanos <= at)?;
     value.filter(|_| at - nanos <= max_nanos)
@@ -151,7 +151,7 @@ proptest! {
     ) {
         let hold = Hold::new(step + more, step).expect("valid");
         let reporting = if is_change { Reporting::Changes(hold) } else { Reporting::Events(hold) };
-        // The second rows are later than all that the first let be known.
+        // The second rows are later than the horizon of the first.
         let later = horizon.max(5_000) * S;
         let second: Vec<Row> = second.into_iter().map(|(nanos, value)| (nanos + later, value)).collect();
         let (readings, after) = LearnedRows::default().learn(reporting, first.clone(), horizon * S);

@@ -7,24 +7,24 @@ use crate::{MemoryBasis, Persistence};
 /// How a prediction is drawn towards the newest reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Blend {
-    /// Not at all.
+    /// The prediction stays as it is.
     #[default]
     None,
-    /// By the mean time between changes (T-RO eq. 12 and 13), which assumes that a state did not change between two
-    /// equal readings.
+    /// Draws by the mean time between changes (T-RO eq. 12 and 13), which assumes that a state did not change between
+    /// two equal readings.
     Persistence,
-    /// By the rates of a two-state chain, which allow for changes that nobody saw (RAS 2017, eq. 6).
+    /// Draws by the rates of a two-state chain, which allow for unobserved changes (RAS 2017, eq. 6).
     Memory,
-    /// By what the newest readings say, as far as they have proved right that far ahead: see
-    /// [`Belief`](crate::Belief). What has no belief, such as a cell, has [`Blend::Persistence`] in its place.
+    /// Draws by the newest readings, as far as they were right at that lead time; see [`Belief`](crate::Belief). A
+    /// state without a belief, such as a cell, uses [`Blend::Persistence`] instead.
     Belief,
 }
 
 impl Blend {
-    /// All that change predictions, in the order of the documentation.
+    /// All blends that change predictions, in the order of the documentation.
     pub const ALL: [Blend; 3] = [Blend::Belief, Blend::Persistence, Blend::Memory];
 
-    /// Its name, as after the `+` of a model; empty for [`Blend::None`].
+    /// The name after the `+` of a model; empty for [`Blend::None`].
     pub fn name(self) -> &'static str {
         match self {
             Blend::None => "",
@@ -34,7 +34,7 @@ impl Blend {
         }
     }
 
-    /// What follows the name of a model: `+` and its name, or nothing.
+    /// The suffix of a model's name: `+` and the name of the blend, or nothing.
     pub fn suffix(self) -> &'static str {
         match self {
             Blend::None => "",
@@ -44,7 +44,7 @@ impl Blend {
         }
     }
 
-    /// The one of this name.
+    /// The blend of this name.
     pub fn named(name: &str) -> Option<Blend> {
         Blend::ALL.into_iter().find(|blend| blend.name() == name)
     }

@@ -12,13 +12,13 @@ use crate::{
 };
 
 impl fmt::Display for ModelSelector {
-    /// As the command line names it; the order is not part of the name.
+    /// Writes the name of the command line; the order is not part of the name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}{}", self.kind, self.blend.suffix())
     }
 }
 
-/// Why a text does not name a model.
+/// The reason why a text does not name a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum InvalidModel {
@@ -80,7 +80,7 @@ impl FromStr for ModelSelector {
     }
 }
 
-/// The model with the period that a part of its name gives.
+/// The model with the period in a part of its name.
 fn with_period(text: &str, kind: ModelKind, part: &str) -> Result<ModelKind, InvalidModel> {
     match (kind.period_nanos(), parse_duration(part)) {
         (Some(_), Ok(nanos)) if ModelKind::PERIODS_NANOS.contains(&nanos) => Ok(kind.with_period(nanos)),

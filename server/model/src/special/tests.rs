@@ -1,4 +1,4 @@
-//! Quantiles against known values and closed forms.
+//! Tests quantiles against known values and closed forms.
 
 use super::*;
 
@@ -34,10 +34,10 @@ fn quantiles_are_those_in_closed_form() {
             assert!((beta_quantile(a, 1.0, q) - q.powf(1.0 / a)).abs() < 1e-11, "Beta({a}, 1) at {q}");
             assert!((beta_quantile(1.0, a, q) - (1.0 - (1.0 - q).powf(1.0 / a))).abs() < 1e-11, "Beta(1, {a}) at {q}");
         }
-        // The arcsine distribution.
+        // Beta(1/2, 1/2) is the arcsine distribution.
         let arcsine = (std::f64::consts::FRAC_PI_2 * q).sin().powi(2);
         assert!((beta_quantile(0.5, 0.5, q) - arcsine).abs() < 1e-10, "arcsine at {q}");
-        // Beta(2, 2): 3x² - 2x³.
+        // Beta(2, 2) has the distribution function 3x² - 2x³.
         let x = beta_quantile(2.0, 2.0, q);
         assert!((3.0 * x * x - 2.0 * x * x * x - q).abs() < 1e-11, "Beta(2, 2) at {q}");
     }
@@ -54,7 +54,7 @@ fn the_log_gamma_function_is_that_of_libm() {
 
 #[test]
 fn the_digamma_function_has_its_known_values() {
-    // Minus Euler's constant, and 2 - γ - 2 ln 2.
+    // ψ(1) is minus Euler's constant, and ψ(1/2) is -γ - 2 ln 2.
     for (x, known) in [(1.0, -0.577_215_664_901_532_9), (0.5, -1.963_510_026_021_423_5), (10.0, 2.251_752_589_066_721)]
     {
         assert!((digamma(x) - known).abs() < 1e-9, "{x}: {}", digamma(x));

@@ -20,28 +20,29 @@ const BLOCK: usize = 64;
 pub struct CellSums<'a> {
     /// Number of observations n.
     pub observations: u64,
-    /// Their total weight, above 0: n, or less with a half-life. The mean and the sums are weighted likewise.
+    /// Total weight of the observations, above 0: n, or less with a half-life. The mean and the sums have the same
+    /// weights.
     pub weight: f64,
-    /// Mean in units in which seeing it free counts as 0 and seeing it occupied as 1: without observations of other
-    /// levels, the share of those that saw it occupied.
+    /// Mean in units in which an observation of free counts as 0 and of occupied as 1. Without observations of other
+    /// levels, it is the share of observations of occupied.
     pub mean: f64,
-    /// Σ x e^(-jω_k t), x being the observation in those units: without observations of other levels, the sum over the
-    /// times at which it was seen occupied.
+    /// Σ x e^(-jω_k t), where x is the observation in the units of `mean`. Without observations of other levels, it is
+    /// the sum over the times of observations of occupied.
     pub a: &'a PhasorSum,
-    /// Σ e^(-jω_k t) over all times at which it was observed.
+    /// Σ e^(-jω_k t) over the times of all observations.
     pub b: &'a PhasorSum,
     /// The observed span, last observation less first, in nanoseconds UTC.
     pub span_nanos: u64,
-    /// The median time between observations, and that between regular ones, in nanoseconds: as
-    /// [`GapSample`](crate::GapSample) has them, 0 where they are not known.
+    /// The median time between observations, and the time between regular ones, in nanoseconds, from
+    /// [`GapSample`](crate::GapSample); 0 if unknown.
     pub gap_nanos: (u64, u64),
-    /// The values, each in `[0,1]`, that seeing it free and seeing it occupied stand for.
+    /// The values, each in `[0,1]`, of an observation of free and of an observation of occupied.
     pub levels: (f64, f64),
 }
 
 impl SpectralModel {
-    /// The model of a state of two values, as [`SpectralModel::train_with_gaps`] gives it. The sums must be over the
-    /// same periodicities. Without observations, the untrained model.
+    /// The model of a state of two values; equals the result of [`SpectralModel::train_with_gaps`]. The sums must be
+    /// over the same periodicities. Without observations, it is the untrained model.
     pub fn train_on_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
         if sums.observations == 0 {
             return SpectralModel::default();
@@ -70,7 +71,7 @@ struct CellTraining<'a> {
     scale: f64,
     /// The observed span with the median gap added.
     span_nanos: u64,
-    /// The readings tell apart only periods of at least twice as much.
+    /// The readings resolve only periods of at least twice this time.
     resolved_nanos: u64,
     periodicities: &'a Periodicities,
     strongest: &'a mut Strongest,

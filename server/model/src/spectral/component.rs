@@ -1,11 +1,11 @@
 //! The components of a spectral model, and the choice of the strongest of a spectrum.
 //!
-//! Invariant: the kept components are in descending order of power, up to rounding; of equal ones the one with the
-//! longest period comes first.
+//! Invariant: the kept components are in descending order of power, up to rounding; of components with equal power the
+//! one with the longest period comes first.
 
 use crate::{ORDER_MAX, Periodicities};
 
-/// Powers that differ by less than this share are equal: they are sums over the same readings in another order.
+/// Powers that differ by less than this share are equal: they are sums over equal readings in another order.
 const ROUNDING: f64 = 1e-9;
 
 /// One periodic component γ_k of a state's value.
@@ -33,7 +33,7 @@ impl Component {
 
 /// The at most [`ORDER_MAX`] strongest of the components offered so far.
 pub(super) struct Strongest {
-    /// Descending; 0 where there is no component yet, so that only more than 0 is kept.
+    /// The powers, descending; 0 where there is no component yet, so that only more than 0 is kept.
     powers: [f64; ORDER_MAX],
     components: [Component; ORDER_MAX],
     count: usize,
@@ -67,14 +67,14 @@ impl Strongest {
         }
     }
 
-    /// The kept components, strongest first; of those that are equal within rounding the longest period first.
+    /// The kept components, strongest first; of components that are equal within rounding the longest period first.
     pub(super) fn into_components(mut self, periodicities: &Periodicities) -> Vec<Component> {
         let period_secs = |component: &Component| periodicities.period_secs(component.periodicity as usize);
         let mut from = 0;
         while from < self.count {
             let least = self.powers[from] * (1.0 - ROUNDING);
             let equal = self.powers[from..self.count].iter().take_while(|&&power| power >= least).count();
-            // Stable: of equal periods the one that was offered first.
+            // The sort is stable: of equal periods, the one that was offered first stays first.
             self.components[from..from + equal].sort_by(|one, next| period_secs(next).total_cmp(&period_secs(one)));
             from += equal;
         }

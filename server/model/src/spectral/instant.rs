@@ -1,6 +1,6 @@
-//! Predicting many states at one time: a cell of a map costs a few multiplications and no trigonometry.
+//! Predictions of many states at one time: a cell of a map costs a few multiplications and no trigonometry.
 //!
-//! Invariant: predictions are those of [`SpectralModel::predict`], bit by bit.
+//! Invariant: predictions are equal to those of [`SpectralModel::predict`], bit by bit.
 
 use super::SpectralModel;
 use crate::Periodicities;

@@ -1,8 +1,8 @@
 //! Scores every order of a model in one pass over a table of phasors: one time per lane of eight.
 //!
-//! An order's prediction is the one below plus one term. What was read at a time is given as sums over its readings, so
-//! that readings which no candidate period tells apart cost one prediction together: with the prediction p, n readings
-//! of sum s and sum of squares q have the squared error q + p (n p - 2 s).
+//! An order's prediction is that of the order below plus one term. The readings at a time are given as sums, so that
+//! readings which no candidate period separates cost one prediction together: with the prediction p, n readings of sum
+//! s and sum of squares q have the squared error q + p (n p - 2 s).
 //!
 //! Invariant: an omitted time adds nothing to any sum. Sums have the same bits on every instruction set, and no squared
 //! error is below 0.
@@ -27,14 +27,14 @@ pub struct ScoreSums {
     pub wrong: [f64; ORDER_MAX + 1],
 }
 
-/// What was read at the times of a table, one entry per time. The readings of a time are predicted alike.
+/// The readings at the times of a table, one entry per time. All readings of a time have one prediction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReadingSums {
     /// Number of readings, 0 and more; 0: the time is omitted.
     pub counts: Vec<f64>,
-    /// Sum of their values, each in `[0,1]`.
+    /// Sum of the readings' values, each in `[0,1]`.
     pub sums: Vec<f64>,
-    /// Sum of the squares of their values.
+    /// Sum of the squares of the readings' values.
     pub squares: Vec<f64>,
     /// Number of values that are at least 0.5.
     pub high: Vec<f64>,
@@ -58,7 +58,7 @@ impl ReadingSums {
         }
     }
 
-    /// Adds a time with the readings that are given with their values in `[0,1]`.
+    /// Adds a time with its readings, whose values are in `[0,1]`.
     #[inline]
     pub fn push(&mut self, values: impl Iterator<Item = f64>) {
         let [mut count, mut sum, mut square, mut high] = [0.0; 4];
@@ -74,7 +74,7 @@ impl ReadingSums {
         self.high.push(high);
     }
 
-    /// Adds some times of others; none where they do not have them.
+    /// Adds some times of `others`; adds nothing if `others` does not have them all.
     pub fn extend_from(&mut self, others: &ReadingSums, times: std::ops::Range<usize>) {
         self.counts.extend_from_slice(others.counts.get(times.clone()).unwrap_or_default());
         self.sums.extend_from_slice(others.sums.get(times.clone()).unwrap_or_default());
@@ -85,16 +85,16 @@ impl ReadingSums {
 
 impl SpectralModel {
     /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting `values`, each in `[0,1]`, at the times of the
-    /// table; where they are fewer than the times, at the first times only. `wrong` is counted only if requested.
+    /// table. If there are fewer values than times, only the first times count. `wrong` is counted only if requested.
     pub fn score_run_values(&self, phasors: &PhasorTable, values: &[f64], sums: &mut ScoreSums, with_wrong: bool) {
         let mut readings = ReadingSums::default();
         values.iter().for_each(|&value| readings.push(std::iter::once(value)));
         self.score_readings(phasors, &readings, sums, with_wrong);
     }
 
-    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting the readings at the times of the table; where
-    /// they are of fewer times, at the first times only. `wrong` is counted only if requested. Fast where the table
-    /// holds the model's periodicities, correct in any case.
+    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting the readings at the times of the table. If the
+    /// readings have fewer times, only the first times count. `wrong` is counted only if requested. It is fast if the
+    /// table holds the model's periodicities, and correct in any case.
     pub fn score_readings(
         &self,
         phasors: &PhasorTable,
@@ -160,7 +160,7 @@ impl EightLanes for ScoreKernel<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd, const V: usize>(self, simd: S) {
-        // As many vectors side by side as registers hold, each with its prediction and its readings.
+        // The kernel runs as many vectors side by side as registers hold, each with its prediction and its readings.
         match (V, self.with_wrong) {
             (1, false) => self.add::<S, V, 8, false>(simd),
             (1, true) => self.add::<S, V, 4, true>(simd),
@@ -227,7 +227,7 @@ struct ReadingLanes<S: Simd, const V: usize, const N: usize> {
     counts: [[S::f64s; V]; N],
     /// -2 times the sum of the values.
     minus_twice: [[S::f64s; V]; N],
-    /// How many wrong predictions more there are from a prediction of 0.5 on.
+    /// The increase in wrong predictions when the prediction reaches 0.5.
     step: [[S::f64s; V]; N],
 }
 
@@ -236,9 +236,9 @@ struct ScoreLanes<S: Simd, const V: usize> {
     /// Σ p (n p - 2 s).
     squared: [Eight<S, V>; ORDER_MAX + 1],
     wrong: [Eight<S, V>; ORDER_MAX + 1],
-    /// Σ q, the same for every order.
+    /// Σ q, equal for every order.
     squares: Eight<S, V>,
-    /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
+    /// Number of values of at least 0.5: the wrong predictions of each order if all were below 0.5.
     high: Eight<S, V>,
 }
 
@@ -249,7 +249,8 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         ScoreLanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], squares: zero, high: zero }
     }
 
-    /// Adds the errors at `N` times eight times: the first of the columns, and those of the terms from time `at`.
+    /// Adds the errors at `N` times eight times: the first times of the columns, and the times of the terms from `at`
+    /// on.
     #[inline(always)]
     fn add<const N: usize, const WRONG: bool>(
         &mut self,
@@ -326,13 +327,13 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         }
     }
 
-    /// Adds the lanes up. Beyond its `used` components a model predicts the same at every order.
+    /// Adds the lanes up. Every order above the `used` components has the same prediction.
     #[inline(always)]
     fn add_to<const WRONG: bool>(&self, simd: S, used: usize, sums: &mut ScoreSums) {
         let (mut squared, mut wrong) = (0.0, 0.0);
         for order in 0..=ORDER_MAX {
             if order <= used {
-                // Rounding may leave less than nothing of a perfect prediction.
+                // With a perfect prediction, rounding may make the sum negative.
                 squared = (self.squares.sum(simd) + self.squared[order].sum(simd)).max(0.0);
                 if WRONG {
                     wrong = self.high.sum(simd) + self.wrong[order].sum(simd);

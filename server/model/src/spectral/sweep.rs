@@ -1,7 +1,7 @@
 //! The kernel that runs a model over a table of phasors: one time per lane.
 //!
-//! Invariant: a prediction has the same bits on every instruction set. All slices that it is given are as long as the
-//! table has times, or longer.
+//! Invariant: a prediction has the same bits on every instruction set. All slices that the kernel receives are as long
+//! as the table has times, or longer.
 
 use pulp::{Simd, WithSimd};
 
@@ -81,7 +81,7 @@ fn vectors<S: Simd>(_simd: S, term: &Term<'_>, i: usize) -> (S::f64s, S::f64s) {
     (S::as_simd_f64s(term.cos).0[i], S::as_simd_f64s(term.sin).0[i])
 }
 
-/// ς: into `[0,1]`.
+/// ς: saturates to `[0,1]`.
 #[inline(always)]
 fn saturate<S: Simd>(simd: S, p: S::f64s) -> S::f64s {
     simd.min_f64s(simd.max_f64s(p, simd.splat_f64s(0.0)), simd.splat_f64s(1.0))

@@ -1,4 +1,4 @@
-//! What `spectral.rs` promises, against a naive oracle where there is one.
+//! Tests the properties of `spectral.rs`, against a naive oracle where there is one.
 
 use proptest::prelude::*;
 
@@ -36,7 +36,7 @@ fn a_sine_is_found_and_predicted_as_it_is() {
 
 #[test]
 fn only_observed_periods_are_eligible() {
-    // Hourly for a week less an hour is 0.994 of a week; less two hours it is 0.988.
+    // An hourly series of a week less an hour spans 0.994 of a week; less two hours, it spans 0.988.
     let week = Periodicities::default();
     let mut samples = daily_sine(7);
     samples[5].value = 1.0;
@@ -107,7 +107,7 @@ fn any_model() -> impl Strategy<Value = SpectralModel> {
         .prop_map(|(mean, components)| SpectralModel::from_parts(mean, 9, components).unwrap())
 }
 
-/// The prediction as its formula says; periodicities that do not exist add nothing.
+/// The prediction by its formula; periodicities that do not exist add nothing.
 fn oracle(model: &SpectralModel, order: usize, civil: i64) -> f64 {
     let week_turns = i128::from(civil).rem_euclid(i128::from(7 * DAY_NANOS)) as f64 / (7 * DAY_NANOS) as f64;
     let term = |c: &Component| {

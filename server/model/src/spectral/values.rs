@@ -52,7 +52,7 @@ impl SpectralModel {
         for (time, &value) in values.iter().enumerate().take(phasors.len()) {
             let mut sum = self.mean;
             for (order, squared) in squared.iter_mut().enumerate() {
-                // Beyond its components a model predicts the same at every order.
+                // Every order above the number of components has the same prediction.
                 if let Some(term) = order.checked_sub(1).and_then(|index| terms.get(index)) {
                     sum += term.cos_weight * term.cos[time] + term.sin_weight * term.sin[time];
                 }

@@ -1,4 +1,4 @@
-//! Runs hold what was unusual, in order, and within their bounds.
+//! Tests that runs hold the unusual observations, in order, and within their bounds.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use super::*;
 const MINUTE: i64 = 60_000_000_000;
 const HOUR: i64 = 60 * MINUTE;
 
-/// An observation of a door of which the model said that it is open with a probability.
+/// An observation of a door for which the model predicted this probability of being open.
 fn reading(utc_nanos: i64, value: f64, probability: f64) -> JudgedReading {
     let is_above = value >= 0.5;
     let observed_probability = if is_above { probability } else { 1.0 - probability };
@@ -23,7 +23,7 @@ fn surprises_of(readings: impl IntoIterator<Item = JudgedReading>) -> Surprises 
 
 #[test]
 fn a_door_left_open_is_one_run() {
-    // Every ten minutes for 42 hours; at its usual hours the open door is no surprise.
+    // Readings come every ten minutes for 42 hours. At its usual hours the open door is no surprise.
     let readings = (0..252).map(|i| {
         let is_usual = (60..108).contains(&i);
         reading(
@@ -43,7 +43,7 @@ fn a_door_left_open_is_one_run() {
     let [run, next] = surprises.runs() else { panic!("{surprises:?}") };
     assert_eq!((run.first_nanos, run.last_nanos, run.observations), (0, 251 * 10 * MINUTE, 252 - 48));
     assert_eq!((run.value, run.probability, run.observed_probability), (1.0, 0.005, 0.005));
-    // Of each half-hour the first observation counts.
+    // Only the first observation of each half-hour counts.
     let looks = f64::from((252 - 48) / 3);
     assert!((run.bits - looks * observed_bits(0.01)).abs() < 1e-9, "{}", run.bits);
     assert_eq!((next.first_nanos, next.observations), (43 * HOUR, 1));
@@ -55,7 +55,7 @@ fn more_readings_of_the_same_hours_are_no_greater_surprise() {
     let hours = |step: i64| surprises_of((0..6 * HOUR / step).map(|i| reading(i * step, 1.0, 0.01))).runs()[0].bits;
     assert!((hours(MINUTE) - hours(30 * MINUTE)).abs() < 1e-9);
     assert!((hours(MINUTE) - 12.0 * observed_bits(0.01)).abs() < 1e-9);
-    // However certain the model, a look is ten bits at most.
+    // A bin counts at most ten bits, however certain the model is.
     assert_eq!(surprises_of([reading(0, 1.0, 0.0)]).runs()[0].bits, 10.0);
 }
 
@@ -92,7 +92,7 @@ fn what_comes_late_is_a_run_of_its_own_and_ends_nothing() {
 fn the_strongest_and_the_newest_are_kept() {
     let day = 24 * HOUR;
     let long = (0..84).map(|i| reading(i * 30 * MINUTE, 1.0, 0.01));
-    // A single surprise every twelve hours for a hundred days.
+    // There is a single surprise every twelve hours for a hundred days.
     let short = (4..200).flat_map(|i| [reading(i * 12 * HOUR, 1.0, 0.02), reading(i * 12 * HOUR + 1, 0.0, 0.0)]);
     let surprises = surprises_of(
         [reading(0, 0.0, 0.0)].into_iter().chain(long).chain([reading(2 * day - 1, 0.0, 0.0)]).chain(short),
@@ -100,7 +100,7 @@ fn the_strongest_and_the_newest_are_kept() {
     assert_eq!(surprises.runs().len(), RUNS_MAX);
     assert_eq!(surprises.dropped(), 1 + 196 - RUNS_MAX as u64);
     assert_eq!(surprises.runs()[0].observations, 84, "a month later a door left open is still stronger");
-    // Of equal ones the oldest went.
+    // Of equally strong runs, the oldest was removed.
     assert_eq!(surprises.runs()[1].first_nanos, (200 - 63) * 12 * HOUR);
 }
 

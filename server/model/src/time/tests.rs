@@ -1,4 +1,4 @@
-//! Times and durations by table, and there and back again.
+//! Tests times and durations by table, and as round trips.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! What pending readings are worth, against naive sums.
+//! Tests the worth of pending readings, against naive sums.
 
 use super::*;
 use crate::{LocalDay, OrderCriterion};
@@ -62,7 +62,7 @@ fn a_changed_routine_is_worth_an_update_and_a_usual_day_is_not() {
     let other = worth(&model, &with_values(door(PENDING_DAY, 1), |value| 1.0 - value));
     assert!(other.gain() > 0.4 && other.usual_error() == usual.usual_error(), "{other:?}");
     assert!((other.gain() - (other.pending_error() - other.usual_error())).abs() < 1e-12);
-    // The easier day does not pay for the harder one, which another state has.
+    // The gain of a state that is easier than usual does not reduce that of another state.
     let mut both = usual;
     both.add(&other);
     assert_eq!(both.readings, 288);

@@ -1,4 +1,4 @@
-//! What `alarm.rs` promises, over many seeds.
+//! Tests the properties of `alarm.rs`, over many seeds.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -50,8 +50,8 @@ fn a_year_without_a_change_rings_for_at_most_five_of_a_hundred() {
 
 #[test]
 fn a_change_of_routine_rings_within_a_week() {
-    // A robot expects nine to five; from some day on people work at night. Each day differs by a share of wrong
-    // minutes.
+    // A robot expects working hours from nine to five; from some day on people work at night. Each day differs by a
+    // share of wrong minutes.
     for seed in 0..100 {
         let mut random = SmallRng::seed_from_u64(seed);
         let mut alarm = ChangeAlarm::default();
@@ -74,7 +74,7 @@ fn it_rings_until_it_is_reset_and_then_learns_anew() {
     let rang = rings(&mut alarm, 0..60, mse).unwrap();
     assert!((42..47).contains(&rang), "{rang}");
     assert_eq!(alarm.alarm_day(), Some(LocalDay(MONDAY + rang)));
-    // The old level does not silence it.
+    // The old level does not silence the alarm.
     assert!(alarm.observe(LocalDay(MONDAY + 60), 0.05, 1440));
     assert_eq!(ChangeAlarm::from_parts(alarm.to_parts()), Ok(alarm));
     alarm.reset();

@@ -2,10 +2,11 @@
 
 use crate::models::CannotTrain;
 
-/// How a [`Calibrated`] model is trained.
+/// The options of training a [`Calibrated`] model.
 ///
 /// The defaults were chosen by rolling origin on ten weeks of one office door: of the settings whose error was within
-/// half a percent of the lowest, the one with the longest memory, then the least caution. The error is flat around it.
+/// half a percent of the lowest, the one with the longest memory, then the least caution. The error is flat around this
+/// choice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibratedOptions {
     /// Standard deviation of the Gaussian that smooths each day over time of day, in seconds, 0 to 86,400.
@@ -13,13 +14,13 @@ pub struct CalibratedOptions {
     /// Standard deviation of the Gaussian that smooths the broad daily profile, in seconds, 0 to 86,400. The time of
     /// day is shrunk towards that profile if there is little data.
     pub broad_smoothing_secs: f64,
-    /// How fast days lose weight, in days, above 0: a day that is `a` days older than the newest counts 1/(1 +
-    /// a/memory). Infinite: all have equal weight.
+    /// The time in days, above 0, with which days lose weight: a day that is `a` days older than the newest counts
+    /// 1/(1 + a/memory). Infinite: all have equal weight.
     pub memory_days: f64,
-    /// How much more a tier is shrunk towards the one before than the credibility formula says: a factor above 0; 1 is
+    /// The factor above 0 by which a tier is shrunk more towards the one before than by the credibility formula; 1 is
     /// Bühlmann's formula. More than 1 allows for routines that do not last.
     pub caution: f64,
-    /// The factor, as `caution`, for the last tier, the days of the week.
+    /// The factor of `caution` for the last tier, the days of the week.
     pub day_of_week_caution: f64,
 }
 

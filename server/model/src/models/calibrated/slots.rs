@@ -9,7 +9,7 @@ use crate::models::Readings;
 use crate::special::square;
 use crate::{LocalDay, Sample};
 
-/// Monday 0 to Sunday 6.
+/// The day of the week: Monday 0 to Sunday 6.
 pub(super) fn day_of_week(day: LocalDay) -> usize {
     // 1970-01-01 was a Thursday.
     (i64::from(day.0) + 3).rem_euclid(DAYS_OF_WEEK as i64) as usize
@@ -46,7 +46,7 @@ impl DaySums {
         self.value_squared += counts * value * value;
     }
 
-    /// The sums over the days of both.
+    /// Adds the sums over the days of both.
     pub(super) fn and(self, other: DaySums) -> DaySums {
         DaySums {
             weight: self.weight + other.weight,
@@ -100,7 +100,7 @@ pub(super) struct SlotSums {
 }
 
 impl SlotSums {
-    /// The sums over days, the newest of them of a date.
+    /// Computes the sums over days; the newest day has the date `newest`.
     pub(super) fn of(days: impl Iterator<Item = SlotDay>, newest: i32, options: CalibratedOptions) -> SlotSums {
         let empty = || vec![WeekSums::default(); SLOTS_PER_DAY];
         let mut sums = SlotSums { fine: empty(), broad: empty() };
@@ -118,9 +118,9 @@ impl SlotSums {
 /// One local day.
 pub(super) struct SlotDay {
     pub(super) date: LocalDay,
-    /// Monday 0 to Sunday 6.
+    /// The day of the week, Monday 0 to Sunday 6.
     pub(super) of_week: usize,
-    /// The mean weight of its readings, in `(0,1]`.
+    /// The mean weight of the day's readings, in `(0,1]`.
     pub(super) weight: f64,
     /// The mean value in each observed slot.
     pub(super) means: [Option<f64>; SLOTS_PER_DAY],
@@ -138,7 +138,7 @@ pub(super) fn days<'a>(
         let mut slots = [(0.0, 0.0); SLOTS_PER_DAY];
         let mut day_weight = 0.0;
         for (sample, weight) in of_day.iter().zip(&mut weights) {
-            // Not too small, because squares would underflow.
+            // The weight is not too small, because squares would underflow.
             let weight = f64::max(weight, 1e-100);
             if !sample.value.is_finite() {
                 continue;
@@ -160,9 +160,9 @@ fn slot_of(sample: &Sample) -> usize {
 
 /// A Gaussian over slots, cut off at three standard deviations and at the ends of the day.
 struct Kernel {
-    /// From one end to the other, its middle in the middle.
+    /// The weights from one end of the kernel to the other; its centre is in the middle.
     weights: Vec<f64>,
-    /// For each slot the weights that lie within the day, added up.
+    /// For each slot, the sum of the weights that lie within the day.
     within: [f64; SLOTS_PER_DAY],
 }
 
@@ -177,8 +177,8 @@ impl Kernel {
         kernel
     }
 
-    /// For each slot the weighted sum of the numbers around it. Goes through the weights one by one over all slots, so
-    /// that the loop vectorises over slots.
+    /// For each slot the weighted sum of the numbers around it. The loop takes the weights one by one over all slots,
+    /// so that it vectorises over slots.
     fn over(&self, numbers: &[f64; SLOTS_PER_DAY]) -> [f64; SLOTS_PER_DAY] {
         let reach = self.weights.len() / 2;
         let mut padded = [0.0; 3 * SLOTS_PER_DAY];
@@ -192,7 +192,7 @@ impl Kernel {
         sums
     }
 
-    /// Passes on each slot's local mean and the observed share of its neighbourhood within the day, in `(0,1]`.
+    /// Calls `each` with each slot's local mean and the observed share of its neighbourhood within the day, in `(0,1]`.
     fn smooth(&self, means: &[Option<f64>; SLOTS_PER_DAY], mut each: impl FnMut(usize, f64, f64)) {
         let seen = self.over(&means.map(|mean| f64::from(u8::from(mean.is_some()))));
         let value = self.over(&means.map(|mean| mean.unwrap_or(0.0)));

@@ -1,5 +1,5 @@
-//! Simulated truths and unusual input: a routine is found, without one the prediction is close to the mean, and
-//! predictions always lie within the readings.
+//! Tests with simulated truths and unusual input: a routine is found, without a routine the prediction is close to the
+//! mean, and predictions always lie within the readings.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -32,7 +32,7 @@ fn at(day: i64, minute: i64) -> Moment {
     Moment { utc_nanos: ((MONDAY + day) * DAY_SECS + minute * 60) * NANOS_PER_SEC, offset_secs: 0 }
 }
 
-/// Squared error over days 70 to 84, trained on the 70 before, as a share of the squared error of the mean.
+/// Squared error over days 70 to 84 with training on the 70 before, as a share of the squared error of the mean.
 fn error_beside_the_mean(mut value: impl FnMut(i64, i64) -> f64) -> f64 {
     let (train, test) = (simulated(0, 70, &mut value), simulated(70, 84, &mut value));
     let mean = train.iter().map(|sample| sample.value).sum::<f64>() / train.len() as f64;
@@ -118,7 +118,7 @@ fn a_change_of_routine_is_taken_up() {
 
 #[test]
 fn noise_costs_hardly_more_than_its_mean() {
-    // The expected squared error of p is the variance, 0.21, and (p - 0.3)².
+    // The expected squared error of p is the variance, 0.21, plus (p - 0.3)².
     let mut excess_shares = Vec::new();
     for (seed, hold_minutes) in (0..8).flat_map(|seed| [5, 60, 240].map(|hold| (seed, hold))) {
         let mut random = SmallRng::seed_from_u64(seed);
@@ -151,7 +151,7 @@ fn what_never_changes_is_predicted_as_it_is() {
 
 #[test]
 fn what_was_never_seen_is_taken_from_what_was() {
-    // Seen on weekdays only, and only from nine to five; open from noon.
+    // The state is observed on weekdays only, from nine to five, and is open from noon.
     let seen = simulated(0, 28, |_, minute| f64::from(u8::from(minute >= 720)));
     let seen: Vec<Sample> = seen
         .into_iter()
@@ -161,7 +161,7 @@ fn what_was_never_seen_is_taken_from_what_was() {
         })
         .collect();
     let model = trained(&seen);
-    // The weekend is like any day, the night like the mean.
+    // The weekend has the prediction of any day, the night that of the mean.
     assert!(model.predict(at(33, 600)) < 0.2 && model.predict(at(33, 900)) > 0.8);
     let mean = seen.iter().map(|sample| sample.value).sum::<f64>() / seen.len() as f64;
     assert!((model.predict(at(30, 120)) - mean).abs() < 0.05, "{} {mean}", model.predict(at(30, 120)));
@@ -228,7 +228,7 @@ fn the_profile_is_straight_between_the_middles_of_slots() {
     assert_eq!(model.predict(at(0, 5)), 0.0);
     assert_eq!(model.predict(at(0, 15)), 1.0);
     assert_eq!(model.predict(at(0, 10)), 0.5);
-    // From the end of Sunday back to Monday.
+    // The interpolation wraps from the end of Sunday back to Monday.
     assert_eq!(model.predict(at(6, 1435)), 1007.0);
     assert_eq!(model.predict(at(7, 0)), 503.5);
     // An hour east of UTC the same moment is an hour later in the week.
@@ -273,7 +273,7 @@ fn damaged_parts_are_refused() {
     }
 }
 
-/// Readings of any kind: tens of years apart or at once, of any finite value.
+/// Readings of any kind: tens of years apart or at one time, of any finite value.
 fn any_samples() -> impl Strategy<Value = Vec<Sample>> {
     let value = prop_oneof![0.0..=1.0, Just(0.0), Just(1.0), Just(f64::MAX), Just(f64::MIN), -1e-300..1e-300];
     let gap = prop_oneof![Just(0_i64), 0..HOUR, 0..400 * 24 * HOUR, Just(i64::MAX / 4)];

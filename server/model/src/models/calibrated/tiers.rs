@@ -28,7 +28,7 @@ pub(super) fn profile(sums: &SlotSums, options: CalibratedOptions) -> Vec<f64> {
     let days: Vec<GroupSums> = (0..DAYS_OF_WEEK).map(|day| group(&sums.fine, day, day + 1)).collect();
 
     let mean = overall_mean(&fine);
-    // The most that values in [0,1] can differ.
+    // The variance has the greatest value that is possible for values in [0,1].
     let before_any = Spread { alike: 0.25 };
     // The two profiles of all days compare slots. The broad profile contains some of each slot's own days; ignoring
     // this errs towards the broad profile.
@@ -85,7 +85,7 @@ fn refine(
         })
         .collect();
     let (squares, free) = scatter.iter().fold((0.0, 0.0), |all, group| (all.0 + group.0, all.1 + group.1));
-    // Priors with the weight of one day each: for a group its tier, for a tier the one before.
+    // The priors have the weight of one day each: the prior of a group is its tier, that of a tier is the one before.
     let borrowed = SLOTS_PER_DAY as f64;
     let alike = (squares + borrowed * spread_before.alike) / (free + borrowed);
     let alike_in: Vec<f64> =
@@ -117,10 +117,10 @@ fn refine(
     (refined, Spread { alike })
 }
 
-/// (n x̄ + κ p)/(n + κ), κ = `alike`/`departure`, multiplied out so that neither being 0 is an exception.
+/// (n x̄ + κ p)/(n + κ), κ = `alike`/`departure`, multiplied out so that a value of 0 in either is no exception.
 fn credible(sums: DaySums, before: f64, alike: f64, departure: f64) -> f64 {
     let own = sums.days() * departure;
     let all = own + alike;
-    // No days, or days that never differ and a tier equal to the one before: both ends agree.
+    // If there are no days, or days never differ and the tier equals the one before, both ends are equal.
     if own <= 0.0 || !all.is_finite() { before } else { (own * sums.mean() + alike * before) / all }
 }

@@ -1,7 +1,7 @@
 //! The detections of one cell, and the rates that follow from them.
 //!
-//! The sums run over the intervals with detections only: the others add nothing to Σ w n e^(-jωt), and what the mean
-//! takes from each of them is the same for all cells ([`IntervalSum`]).
+//! The sums run over the intervals with detections only. The other intervals add nothing to Σ w n e^(-jωt), and their
+//! contribution to the mean is equal for all cells ([`IntervalSum`]).
 //!
 //! Invariant: a rate is positive and finite.
 
@@ -28,7 +28,7 @@ pub(super) fn prior_mean(directions: usize, weight: f64) -> f64 {
 pub(super) struct CellRates {
     pub(super) cell: usize,
     pub(super) order: usize,
-    /// By direction.
+    /// The rates by direction.
     pub(super) rates: Vec<DirectionRate>,
 }
 
@@ -55,7 +55,7 @@ impl DirectionRate {
 
 /// The detections of a cell.
 pub(super) struct CellCounts {
-    /// By direction, the intervals with detections and their number, ascending.
+    /// The intervals with detections and their number, ascending, by direction.
     directions: Vec<Vec<(usize, f64)>>,
 }
 
@@ -67,13 +67,13 @@ impl CellCounts {
     /// Adds a detection that is in no earlier interval than those before it.
     pub(super) fn add(&mut self, direction: usize, interval: usize) {
         match self.directions[direction].last_mut() {
-            // An hour that the clock repeats goes back in civil time: it counts in the interval reached.
+            // An hour that the clock repeats goes back in civil time: it counts in the interval that was reached.
             Some((last, count)) if *last >= interval => *count += 1.0,
             _ => self.directions[direction].push((interval, 1.0)),
         }
     }
 
-    /// The rates of all directions with components up to an order, from the intervals that `sum` is of, the first ones.
+    /// The rates of all directions with components up to an order, from the first intervals, which `sum` sums.
     pub(super) fn rates(
         &self,
         sum: &IntervalSum,
@@ -103,7 +103,7 @@ impl CellCounts {
             } else {
                 strongest(known, weighted / sum.weight, sum, intervals, periodicities, order)
             };
-            // A time of day without any detection, seen on so many days.
+            // The floor is the rate of a time of day that was observed on so many days without any detection.
             let floor = (PRIOR_EVENTS / self.directions.len() as f64 / (PRIOR_INTERVALS + sum.days as f64)).min(mean);
             DirectionRate { mean, floor, components }
         };
@@ -111,7 +111,7 @@ impl CellCounts {
     }
 }
 
-/// The strongest components γ_k = Σ w n e^(-jω_k t) / W - μ Σ w e^(-jω_k t) / W, ties: the lower index first.
+/// The strongest components γ_k = Σ w n e^(-jω_k t) / W - μ Σ w e^(-jω_k t) / W; of equal ones the lower index first.
 fn strongest(
     counts: &[(usize, f64)],
     mean: f64,
@@ -134,18 +134,18 @@ fn strongest(
     found.retain(|component| component.amplitude() > 0.0);
     found.sort_by(|one, other| other.amplitude().total_cmp(&one.amplitude()));
     found.truncate(order.min(ORDER_MAX));
-    // A model keeps them.
+    // The vector is shrunk because the model keeps it.
     found.shrink_to_fit();
     found
 }
 
-/// The days that choose orders: the last ones, and what is learned from those before.
+/// The held-out days that choose orders, which are the last ones, and the data learned from the days before.
 pub(super) struct HeldOutDays {
-    /// Index of their first interval.
+    /// Index of the first held-out interval.
     from: usize,
     learned: IntervalSum,
     periodicities: Periodicities,
-    /// Phasors of the intervals held out.
+    /// Phasors of the held-out intervals.
     phasors: PhasorTable,
 }
 
@@ -156,11 +156,11 @@ impl HeldOutDays {
         HeldOutDays { from, learned: intervals.sum(from, periodicities), periodicities: periodicities.clone(), phasors }
     }
 
-    /// The order that predicts the days held out best, from those before; on a near tie the lowest.
+    /// The order that predicts the held-out days best, learned from the days before; on a near tie the lowest.
     pub(super) fn best_order(&self, counts: &CellCounts, intervals: &FlowIntervals, options: &FlowOptions) -> usize {
         let order_max = options.order_max.min(ORDER_MAX);
         let rates = counts.rates_before(self.from, &self.learned, intervals, &self.periodicities, order_max);
-        // Log-likelihood by order, without ln(count!), which is the same for every order.
+        // Log-likelihood by order, without ln(count!), which is equal for every order.
         let mut found = vec![0.0; order_max + 1];
         for (rate, counts) in rates.iter().zip(&counts.directions) {
             let held = &counts[counts.partition_point(|(interval, _)| *interval < self.from)..];

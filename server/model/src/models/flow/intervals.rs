@@ -1,28 +1,28 @@
 //! The intervals of local civil time in which detections are counted.
 //!
-//! Invariant: they follow each other without gaps; all of them count as watched.
+//! Invariant: the intervals follow each other without gaps; all of them count as watched.
 
 use super::{FlowOptions, INTERVALS_MAX};
 use crate::{Component, LocalDay, Periodicities, PhasorTable};
 
-/// FlowIntervals that share one table of phasors.
+/// Number of intervals that share one table of phasors.
 const CHUNK: usize = 512;
 
-/// FlowIntervals of the same length from the first to the last detection.
+/// Intervals of equal length from the first to the last detection.
 pub(super) struct FlowIntervals {
     length_nanos: i64,
-    /// Number of the first, from 1970.
+    /// Number of the first interval, from 1970.
     first: i64,
-    /// The weight of each.
+    /// The weight of each interval.
     weights: Vec<f64>,
 }
 
 /// A part of the intervals: its weight, and the mean of its phasors.
 pub(super) struct IntervalSum {
     pub(super) weight: f64,
-    /// What weights are multiplied with, so that that of the last interval is 1.
+    /// The factor of the weights that makes the weight of the last interval 1.
     pub(super) scale: f64,
-    /// Number of local days, whole or not.
+    /// Number of local days, complete or not.
     pub(super) days: usize,
     /// Σ w e^(-jωt) / Σ w for every periodicity that its span holds.
     pub(super) phasors: Vec<Component>,
@@ -76,7 +76,8 @@ impl FlowIntervals {
 
     /// The sum of the intervals before `end`.
     pub(super) fn sum(&self, end: usize, periodicities: &Periodicities) -> IntervalSum {
-        // Relative to the newest: what is old for the last days is new for those before.
+        // Weights are relative to the newest interval of the part: days that are old for the last days are new for
+        // earlier ones.
         let newest = self.weights[..end].last().copied().unwrap_or(1.0);
         let scale = if newest > 0.0 { 1.0 / newest } else { 1.0 };
         let weight: f64 = self.weights[..end].iter().map(|weight| weight * scale).sum();
@@ -95,7 +96,7 @@ impl FlowIntervals {
     }
 }
 
-/// The periodicities that the intervals before `end` hold once, without a sum yet.
+/// The periodicities that the intervals before `end` hold at least once, with sums of 0.
 fn eligible(intervals: &FlowIntervals, end: usize, periodicities: &Periodicities) -> Vec<Component> {
     let span_nanos = (end as u64).saturating_sub(1).saturating_mul(intervals.length_nanos.unsigned_abs());
     let held = |&k: &u32| periodicities.is_eligible(k as usize, span_nanos);

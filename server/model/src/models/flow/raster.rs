@@ -19,7 +19,7 @@ impl FlowRaster {
         self.counts[0].saturating_mul(self.counts[1])
     }
 
-    /// The cell of a place; `None` outside.
+    /// The cell of a place; `None` outside the raster.
     pub fn cell(&self, place_m: [f64; 2]) -> Option<usize> {
         let mut at = [0; 2];
         for axis in 0..2 {

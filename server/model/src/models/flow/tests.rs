@@ -1,4 +1,4 @@
-//! What `flow.rs` promises, against sums over all intervals in plain f64.
+//! Tests the properties of `flow.rs`, against sums over all intervals in plain f64.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -128,7 +128,7 @@ fn what_cannot_be_learned_is_refused() {
 
 #[test]
 fn old_detections_fade_with_the_half_life() {
-    // East in the first weeks, north since.
+    // People walk east in the first weeks, and north since.
     let walk = |step: i64| detection(step * 3_600, [0.5, 0.5], if step < 14 * 24 { 0.0 } else { 1.57 });
     let detections: Vec<FlowDetection> = (0..28 * 24).map(walk).collect();
     let north = |half_life_secs| {
@@ -141,7 +141,8 @@ fn old_detections_fade_with_the_half_life() {
 
 #[test]
 fn rhythms_are_found_with_a_short_half_life_too() {
-    // At the end of the days that are learned for the choice, weights are a thousandth of those at the end of all.
+    // At the end of the days that are learned for the choice, weights are a thousandth of the weights at the end of all
+    // days.
     let options = FlowOptions { half_life_secs: Some(43_200.0), ..two_cells() };
     let model = learned(&streams(21, 1), &options);
     assert!(model.orders().all(|(_, order)| order >= 1), "{:?}", model.orders().collect::<Vec<_>>());
@@ -212,7 +213,7 @@ proptest! {
         let mut counts = vec![vec![0.0; (days * 144) as usize]; 4];
         let mut detections = Vec::new();
         for interval in 0..days * 144 {
-            // Both ends are detected, so that the intervals are known.
+            // Both ends have a detection, so that the intervals are known.
             let is_end = interval == 0 || interval == days * 144 - 1;
             while is_end && detections.last().is_none_or(|last: &FlowDetection| last.moment != moment(interval * 600 + 5))
                 || random.random_bool(often)

@@ -8,9 +8,9 @@ use super::cycle::{DAY_HOURS, is_weekend};
 use super::hours::{add_to, mean};
 use super::{HISTOGRAM_PRIOR_READINGS, HistogramCycle, HourTable, shrunk};
 
-/// Days of a week.
+/// Number of days of a week.
 const WEEK_DAYS: usize = 7;
-/// Monday to Friday.
+/// Number of weekdays, Monday to Friday.
 const WEEKDAYS: usize = 5;
 
 impl HourTable {
@@ -20,9 +20,9 @@ impl HourTable {
         (all[0] > 0.0).then(|| mean(all))
     }
 
-    /// The prediction of [`HourTable::histogram`] in an hour of the week, 0..168; `mean_of_all` is [`HourTable::mean`].
-    /// `None` where neither the histogram nor a coarser one has readings in that hour. Beside it, whether the histogram
-    /// itself has some. `bins` must be valid for [`HourTable::histogram`].
+    /// The prediction of [`HourTable::histogram`] in an hour of the week, 0..168, and whether the histogram itself has
+    /// readings in that hour. `None` if neither the histogram nor a coarser one has some. `mean_of_all` is
+    /// [`HourTable::mean`]. `bins` must be valid for [`HourTable::histogram`].
     pub(crate) fn answer(
         &self,
         (cycle, bins): (HistogramCycle, usize),
@@ -45,7 +45,7 @@ impl HourTable {
     }
 
     /// The readings of the next coarser histogram that has some in the bin of `per_bin` hours of the given hour of the
-    /// week: of the week that of weekday and weekend, then that of the day.
+    /// week: after the week, weekday and weekend, then the day.
     pub(super) fn coarser(&self, cycle: HistogramCycle, per_bin: usize, hour_of_week: usize) -> Option<[f64; 2]> {
         if per_bin == 0 || !DAY_HOURS.is_multiple_of(per_bin) {
             return None;
@@ -67,12 +67,12 @@ impl HourTable {
     }
 }
 
-/// The days of the week that are of the same kind as that of the hour.
+/// The days of the week that have the same kind as the hour's day.
 fn alike(hour_of_week: usize) -> Range<usize> {
     if is_weekend(hour_of_week) { WEEKDAYS..WEEK_DAYS } else { 0..WEEKDAYS }
 }
 
-/// The sum of cells, bounded as in [`HourTable::histogram`].
+/// The sum of cells, with the bounds of [`HourTable::histogram`].
 fn total(cells: impl Iterator<Item = [f64; 2]> + Clone) -> [f64; 2] {
     // Without overflow the bounds change nothing, and an overflow never becomes finite again.
     let plain = cells.clone().fold([0.0; 2], |[weight, sum], cell| [weight + cell[0], sum + cell[1]]);

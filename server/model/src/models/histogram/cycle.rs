@@ -1,6 +1,7 @@
 //! The cycle of a histogram, and the bin of a local civil time.
 //!
-//! Bins are found in integer nanoseconds. Invariant: every time has a bin, and bins differ in length by at most 1 ns.
+//! Bins are computed in integer nanoseconds. Invariant: every time has a bin, and bins differ in length by at most 1
+//! ns.
 
 use crate::civil::NANOS_PER_SEC;
 
@@ -35,7 +36,7 @@ impl HistogramCycle {
         HistogramCycle::ALL.into_iter().find(|cycle| cycle.name() == name)
     }
 
-    /// The name in the name of a model and in protocols.
+    /// The name of the cycle in the name of a model and in protocols.
     pub fn name(self) -> &'static str {
         match self {
             HistogramCycle::Day => "day",
@@ -44,7 +45,7 @@ impl HistogramCycle {
         }
     }
 
-    /// The usual number of bins: hours.
+    /// The default number of bins: hours.
     pub fn usual_bins(self) -> u32 {
         // At most 168.
         self.hours() as u32
@@ -110,11 +111,11 @@ pub(super) fn hour_of_week_of(civil_hour: i64) -> usize {
 
 /// Nanoseconds since Monday, midnight.
 fn week_nanos(civil_nanos: i64) -> i64 {
-    // Reduced first: the sum could overflow.
+    // The time is reduced first, because the sum could overflow.
     (civil_nanos.rem_euclid(WEEK_NANOS) + MONDAY_TO_EPOCH_NANOS) % WEEK_NANOS
 }
 
-/// Which of `bins` equal parts of a length contains a position in it.
+/// The index of the part, of `bins` equal parts of a length, that contains a position.
 fn part(place_nanos: i64, length_nanos: i64, bins: usize) -> usize {
     ((place_nanos as u128 * bins as u128) / length_nanos as u128) as usize
 }

@@ -1,8 +1,8 @@
-//! Sums per hour of the week, from which histograms follow without raw data.
+//! Sums per hour of the week, from which histograms are computed without raw data.
 //!
-//! 168 cells of the week and, for the variance between days, the means of single hours of single days: 0.5 kB of a
-//! state whose readings are 0 and 1, at most 3.8 kB. Invariant: sums commute, so the table depends neither on order nor
-//! on batching beyond 1e-9, as long as no local hour is split over two batches.
+//! The table has 168 cells of the week and, for the variance between days, the means of single hours of single days. It
+//! takes 0.5 kB for a state whose readings are 0 and 1, and at most 3.8 kB. Invariant: sums commute, so the table
+//! depends neither on order nor on batching beyond 1e-9, as long as no local hour is split over two batches.
 
 use super::cycle::{DAY_HOURS, HOUR_NANOS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
 use super::narrow::Narrow;
@@ -13,7 +13,7 @@ use crate::{InvalidParts, Sample};
 pub(crate) struct HourRun<'a> {
     /// The hour's number, from 1970-01-01T00:00 local.
     pub(crate) civil_hour: i64,
-    /// At least one.
+    /// The readings, at least one.
     pub(crate) samples: &'a [Sample],
 }
 
@@ -48,13 +48,13 @@ const WEIGHT_MIN: f64 = 1e-9;
 /// The readings of each hour of the local week, and the variance between days in each hour of the day.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HourTable {
-    /// As [`HourTableParts::cells`].
+    /// [`HourTableParts::cells`] in narrow numbers.
     cells: Narrow<2>,
-    /// As [`HourTableParts::days`].
+    /// [`HourTableParts::days`] in narrow numbers.
     days: Narrow<3>,
 }
 
-/// What an [`HourTable`] consists of, for storage.
+/// The parts of an [`HourTable`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HourTableParts {
     /// 168 cells, one per hour of the local week from Monday, midnight: `[weight, Σ value]` of the readings.
@@ -64,7 +64,7 @@ pub struct HourTableParts {
     pub days: Vec<[f64; 3]>,
 }
 
-/// How the mean value of one hour of the day differs from day to day.
+/// The variation of the mean value of one hour of the day between days.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HourSpread {
     /// Number of days; fractional with forgetting.
@@ -88,14 +88,14 @@ impl HourTable {
     /// A local hour of one date that is split over two batches enters the cells of the week as usual, but counts as two
     /// days in [`HourTable::spread`]. The hour that comes twice when clocks are set back is one hour.
     pub fn add(&mut self, samples: &[Sample]) {
-        // Per run the hour and the readings' number and sum.
+        // For each run: the hour, and the number and sum of the readings.
         let mut runs: Vec<(i64, f64, f64)> = Vec::with_capacity(DAY_HOURS + 1);
         runs.extend(hour_runs(samples).map(|run| {
             let values = run.samples.iter().map(|sample| sample.value).filter(|value| value.is_finite());
             let (number, sum) = values.fold((0.0, 0.0), |(number, sum), value| (number + 1.0, bounded(sum + value)));
             (run.civil_hour, number, sum)
         }));
-        // Most often they are in order already, and each hour is one run.
+        // The runs are usually in order already, and each hour is one run.
         runs.sort_by_key(|&(hour, ..)| hour);
         for of_hour in runs.chunk_by(|one, next| one.0 == next.0) {
             let hour = of_hour[0].0;
@@ -118,7 +118,7 @@ impl HourTable {
         other.days.iter().enumerate().for_each(|(index, cell)| add_at(&mut self.days, index, cell));
     }
 
-    /// Forgetting: multiplies the weight of all readings so far by `factor`, 0 to 1. Other factors count as the nearer
+    /// Multiplies the weight of all readings so far by `factor`, 0 to 1 (forgetting). Other factors count as the nearer
     /// end, and NaN changes nothing.
     pub fn scale(&mut self, factor: f64) {
         if factor.is_nan() {
@@ -129,9 +129,9 @@ impl HourTable {
         self.days.change(|cell| scale_by(cell, factor));
     }
 
-    /// The histogram with the default prior and no smoothing, as [`Histogram::train`] on the same readings. `None`
-    /// without readings, or if a bin would not hold whole hours: the number of bins must divide 168 for the week, 24
-    /// for the others.
+    /// The histogram with the default prior and no smoothing, equal to [`Histogram::train`] on these readings. `None`
+    /// without readings, or if a bin would not hold whole hours: the number of bins must divide 168 for the week, and
+    /// 24 for the other cycles.
     pub fn histogram(&self, cycle: HistogramCycle, bins: usize) -> Option<Histogram> {
         if bins == 0 || !cycle.hours().is_multiple_of(bins) {
             return None;
@@ -181,8 +181,8 @@ impl HourTable {
         bounded(self.days.iter().map(|cell| cell[0]).sum())
     }
 
-    /// How an hour of the day, 0..24, differs between weekdays, or between days of weekends; `None` without readings in
-    /// it.
+    /// The variation of an hour of the day, 0..24, between weekdays, or between days of weekends; `None` if it has no
+    /// readings.
     pub fn spread(&self, hour_of_day: usize, weekend: bool) -> Option<HourSpread> {
         if hour_of_day >= DAY_HOURS {
             return None;
@@ -261,7 +261,7 @@ fn scale_by<const N: usize>(cell: &mut [f64; N], factor: f64) {
     }
 }
 
-/// Sums of huge values saturate instead of overflowing.
+/// Bounds a sum, so that sums of huge values saturate instead of overflowing.
 fn bounded(sum: f64) -> f64 {
     sum.clamp(f64::MIN, f64::MAX)
 }

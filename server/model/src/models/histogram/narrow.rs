@@ -1,7 +1,7 @@
 //! Cells of sums in the narrowest numbers that hold them exactly.
 //!
 //! Most sums are small whole numbers, such as counts of readings of 0 and 1: a byte holds them. Invariant: every number
-//! is read back bit by bit; cells that have once become wider stay so.
+//! is read back bit by bit; cells that have once become wider stay wide.
 
 /// Cells of `N` sums each.
 #[derive(Clone, Debug)]
@@ -15,7 +15,7 @@ pub(super) enum Narrow<const N: usize> {
 }
 
 fn as_byte(number: f64) -> Option<u8> {
-    // Casts saturate; what is not held exactly is found by the way back.
+    // Casts saturate. The cast back shows whether the number is held exactly.
     let byte = number as u8;
     (f64::from(byte).to_bits() == number.to_bits()).then_some(byte)
 }
@@ -55,7 +55,7 @@ impl<const N: usize> Narrow<N> {
         }
     }
 
-    /// A cell; `None` beyond the last.
+    /// The cell at an index; `None` beyond the last.
     #[inline]
     pub(super) fn get(&self, index: usize) -> Option<[f64; N]> {
         match self {
@@ -70,7 +70,7 @@ impl<const N: usize> Narrow<N> {
         (0..self.len()).map_while(|index| self.get(index))
     }
 
-    /// Replaces a cell; nothing beyond the last.
+    /// Replaces a cell; an index beyond the last changes nothing.
     pub(super) fn set(&mut self, index: usize, cell: [f64; N]) {
         let is_set = match self {
             Narrow::Bytes(cells) => set(cells, index, cast(cell, as_byte)),
@@ -78,7 +78,7 @@ impl<const N: usize> Narrow<N> {
             Narrow::Doubles(cells) => set(cells, index, Some(cell)),
         };
         if !is_set {
-            // At most twice: bytes, single, double.
+            // This happens at most twice: bytes, single, double.
             *self = self.wider(cell);
             self.set(index, cell);
         }
@@ -86,7 +86,7 @@ impl<const N: usize> Narrow<N> {
 
     /// These cells in wider numbers, which can also hold `cell`.
     fn wider(&self, cell: [f64; N]) -> Narrow<N> {
-        // Single precision holds every byte, but nothing else need fit.
+        // Single precision holds every byte, but other numbers need not fit.
         match self {
             Narrow::Bytes(cells) if cast(cell, as_single).is_some() => {
                 Narrow::Singles(cells.iter().map(|cell| cell.map(f32::from)).collect())

@@ -1,4 +1,4 @@
-//! What `histogram.rs` promises: against a naive oracle, and the table of hours against the histogram itself.
+//! Tests the properties of `histogram.rs`: against a naive oracle, and the table of hours against the histogram itself.
 
 use proptest::prelude::*;
 
@@ -18,7 +18,7 @@ fn at(utc_nanos: i64) -> Moment {
     Moment { utc_nanos, offset_secs: 0 }
 }
 
-/// Every ten minutes for some days from a Monday; the value is that of the day and hour.
+/// Readings every ten minutes for some days from a Monday; the value depends on the day and hour.
 fn days(count: i64, value: impl Fn(i64, i64) -> f64) -> Vec<Sample> {
     (0..count * 144)
         .map(|step| sample(MONDAY * DAY_NANOS + step * HOUR_NANOS / 6, value(step / 144, step % 144 / 6)))
@@ -147,7 +147,7 @@ fn the_table_forgets() {
     table.scale(0.25);
     table.add(&days(7, |_, _| 0.0));
     let histogram = table.histogram(HistogramCycle::Day, 1).unwrap();
-    // 1008 readings of weight 1/4, 1008 of weight 1; the prior is the mean itself.
+    // There are 1008 readings of weight 1/4 and 1008 of weight 1; the prior is the mean itself.
     assert!((histogram.predict(at(0)) - 0.2).abs() < 1e-12);
     table.scale(-1.0);
     assert_eq!(table, HourTable::default());

@@ -13,7 +13,7 @@ const FARTHEST: f64 = 1e6;
 pub struct HypertimeAxis {
     /// The mean of the readings, which is subtracted.
     pub centre: f64,
-    /// The standard deviation, by which is divided; above 0.
+    /// The standard deviation, the divisor of the scale; above 0.
     pub scale: f64,
     /// Least number observed.
     pub low: f64,
@@ -27,20 +27,20 @@ impl HypertimeAxis {
         let (low, high) = numbers
             .clone()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), number| (low.min(number), high.max(number)));
-        // Computed with numbers divided by the greatest, so that squares cannot overflow.
+        // The numbers are divided by the greatest, so that squares cannot overflow.
         let greatest = low.abs().max(high.abs()).max(f64::MIN_POSITIVE);
         let count = numbers.clone().count() as f64;
         let mean = numbers.clone().map(|number| number / greatest).sum::<f64>() / count;
         let squares: f64 = numbers.map(|number| square(number / greatest - mean)).sum();
         let deviation = (squares / count).sqrt();
-        // Equal or nearly equal numbers: their magnitude is the scale.
+        // If numbers are equal or nearly equal, their magnitude is the scale.
         let size = if greatest > f64::MIN_POSITIVE { greatest } else { 1.0 };
         let scale = if deviation > 1e-12 { deviation * greatest } else { size };
         HypertimeAxis { centre: (mean * greatest).clamp(low, high), scale: scale.max(f64::MIN_POSITIVE), low, high }
     }
 
     pub(super) fn standard(&self, number: f64) -> f64 {
-        // Halved first: the difference of two great numbers may be infinite.
+        // The numbers are halved first, because the difference of two great numbers may be infinite.
         ((0.5 * number - 0.5 * self.centre) / self.scale * 2.0).clamp(-FARTHEST, FARTHEST)
     }
 

@@ -1,7 +1,7 @@
-//! The periods that hypertime chooses among: those of a map, a month and a year; and a time as a point on circles.
+//! The candidate periods of hypertime: those of a map, a month and a year; and a time as a point on circles.
 //!
-//! Most candidates divide one cycle (a week, unless the map says otherwise), so that errors can be summed by slot of
-//! the cycle before the search. The others, such as a month beside a week, are searched in the readings' own times.
+//! Most candidates divide one cycle (a week, unless the map has another), so that errors can be summed by slot of the
+//! cycle before the search. The others, such as a month beside a week, are searched in the readings' own times.
 //! Invariant: a period is a whole division of some nanoseconds, never a length in floating point.
 
 use std::f64::consts::TAU;
@@ -14,15 +14,15 @@ use crate::periodicity::Periodicities;
 #[cfg(test)]
 mod tests;
 
-/// Most circles of a model.
+/// Maximum number of circles of a model.
 pub(super) const PERIODS_MAX: usize = 5;
 /// The shortest period searched is the cycle divided by this, or a day in a cycle of more days.
 const DIVISOR_MIN: i64 = 84;
-/// Bound on this, for cycles of years.
+/// Upper bound of the divisor, for cycles of years.
 const DIVISOR_MAX: i64 = 400;
-/// Slots of the shortest period.
+/// Number of slots of the shortest period.
 const SLOTS_PER_PERIOD: usize = 24;
-/// Most periods that do not divide the cycle.
+/// Maximum number of periods that do not divide the cycle.
 const OTHERS_MAX: usize = 64;
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 /// A month and a year of the Gregorian calendar, on average.
@@ -39,12 +39,12 @@ pub struct HypertimePeriod {
 }
 
 impl HypertimePeriod {
-    /// Its length in seconds.
+    /// The length of the period in seconds.
     pub fn secs(self) -> f64 {
         self.cycle_nanos as f64 / f64::from(self.divisor) / 1e9
     }
 
-    /// Where a local civil time lies in the period, in turns from 0 to 1.
+    /// The position of a local civil time in the period, in turns from 0 to 1.
     fn turn(self, civil_nanos: i64) -> f64 {
         let turn = civil_nanos.rem_euclid(self.cycle_nanos) as f64 / self.cycle_nanos as f64;
         (turn * f64::from(self.divisor)).fract()
@@ -76,10 +76,10 @@ pub(super) fn project(civil_nanos: i64, periods: &[HypertimePeriod], out: &mut V
 #[derive(Clone, Debug)]
 pub(super) struct Candidates {
     cycle_nanos: i64,
-    /// Of the cycle, ascending.
+    /// Divisors of the cycle, ascending.
     divisors: Vec<u32>,
     slots: usize,
-    /// Those that do not divide the cycle; only what the readings can hold.
+    /// Periods that do not divide the cycle; only periods that the readings can hold.
     others: Vec<HypertimePeriod>,
     span_nanos: u64,
     gaps: Gaps,
@@ -166,8 +166,8 @@ impl Candidates {
         self.divisors.iter().map(|&divisor| HypertimePeriod { cycle_nanos: self.cycle_nanos, divisor })
     }
 
-    /// Whether the readings can tell of a period: their span with a median gap holds at least 0.99 of it, and where
-    /// they are regular they are at most half of it apart.
+    /// Whether the readings can resolve a period: their span plus a median gap holds at least 0.99 of it, and the gap
+    /// of regular readings is at most half of it.
     pub(super) fn holds(&self, period: HypertimePeriod) -> bool {
         let (cycle, turns) = (period.cycle_nanos.unsigned_abs(), u128::from(period.divisor));
         let span = self.span_nanos.saturating_add(self.gaps.median_nanos());

@@ -1,8 +1,8 @@
 //! One cluster in hypertime: a Gaussian over some coordinates and a von Mises distribution on each of some circles.
 //!
-//! Coordinates that a prediction is given come first in the Gaussian, the value last: then the factor of the covariance
-//! contains the factor of the given coordinates, and the conditional distribution of the value follows from the rest.
-//! With HyT-EM the cosines and sines are coordinates of the Gaussian, with HyT-KM each circle stands by itself.
+//! The given coordinates of a prediction come first in the Gaussian, and the value last. Then the factor of the
+//! covariance contains the factor of the given coordinates, and the conditional distribution of the value follows from
+//! the rest. With HyT-EM the cosines and sines are coordinates of the Gaussian; with HyT-KM each circle is separate.
 //! Invariant: the stored triangular factor has a positive diagonal, so the covariance is positive definite.
 
 use nalgebra::{Cholesky, DMatrix};
@@ -13,7 +13,7 @@ use crate::InvalidParts;
 #[cfg(test)]
 mod tests;
 
-/// Most coordinates of a Gaussian: locations, values and two for each of five periods.
+/// Maximum number of coordinates of a Gaussian: locations, values and two for each of five periods.
 pub(super) const COORDINATES_MAX: usize = 26;
 /// Least variance along a coordinate, whose deviation over all readings is about 1: a hundredth of it, squared.
 pub(super) const VARIANCE_MIN: f64 = 1e-4;
@@ -26,11 +26,11 @@ const FARTHEST: f64 = 1e150;
 /// cosines and sines are as they are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeCluster {
-    /// Its share of the readings, in `[0,1]`.
+    /// Share of the readings in the cluster, in `[0,1]`.
     pub weight: f64,
     /// Centre of the Gaussian: location, then (HyT-EM) cosine and sine for each period, then value.
     pub centre: Vec<f64>,
-    /// The rows of the lower triangular factor of its covariance, one after the other, n(n + 1)/2 numbers.
+    /// The rows of the lower triangular factor of the covariance, one after the other, n(n + 1)/2 numbers.
     pub factor: Vec<f64>,
     /// Direction on the circle of each period, in radians (HyT-KM; otherwise empty).
     pub directions_rad: Vec<f64>,
@@ -133,7 +133,7 @@ impl Cluster {
         sum
     }
 
-    /// Solves for the standardised coordinates into `solved`; ln density of the first `given`, and of all.
+    /// Solves for the standardised coordinates into `solved`; returns ln density of the first `given`, and of all.
     fn solve(&self, coordinates: &[f64], given: usize, solved: &mut [f64; COORDINATES_MAX]) -> (f64, f64) {
         let (mut sum, mut given_sum) = (0.0, 0.0);
         for (index, (coordinate, centre)) in coordinates.iter().zip(&self.parts.centre).enumerate() {
@@ -153,7 +153,7 @@ impl Cluster {
         (given_sum, sum)
     }
 
-    /// ln(weight · density): of the circles and the first `given` coordinates, and of the circles and all coordinates.
+    /// ln(weight · density) of the circles and the first `given` coordinates, and of the circles and all coordinates.
     pub(super) fn log_densities(&self, coordinates: &[f64], circles: &[f64], given: usize) -> (f64, f64) {
         let circles = self.log_circles(circles);
         let (given, all) = self.solve(coordinates, given, &mut [0.0; COORDINATES_MAX]);

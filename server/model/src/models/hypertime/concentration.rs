@@ -1,4 +1,4 @@
-//! The von Mises distribution on a circle: how concentrated around a direction.
+//! The von Mises distribution on a circle: its concentration around a direction.
 //!
 //! Its log-density falls with the cosine distance, as in RA-L 2019 section III.H: κ(cos Δ - 1) plus a constant.
 //! Invariant: concentrations are between 0 and [`CONCENTRATION_MAX`], and everything here is finite.
@@ -57,13 +57,14 @@ fn polynomial(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * x + coefficient)
 }
 
-/// The logarithm of 2π e^-κ I_0(κ), which a density e^(κ(cos Δ - 1)) is divided by.
+/// The logarithm of 2π e^-κ I_0(κ), the divisor of a density e^(κ(cos Δ - 1)).
 pub(super) fn log_normaliser(kappa: f64) -> f64 {
     libm::log(std::f64::consts::TAU * scaled_bessel_0(kappa))
 }
 
-/// The likeliest concentration for a mean resultant length between 0 and 1: κ with I_1(κ)/I_0(κ) = R. Starts from
-/// Banerjee et al., "Clustering on the unit hypersphere using von Mises-Fisher distributions", JMLR 2005, eq. 4.4.
+/// The likeliest concentration for a mean resultant length between 0 and 1: κ with I_1(κ)/I_0(κ) = R. The iteration
+/// starts from Banerjee et al., "Clustering on the unit hypersphere using von Mises-Fisher distributions", JMLR 2005,
+/// eq. 4.4.
 pub(super) fn concentration(resultant: f64) -> f64 {
     let resultant = resultant.clamp(0.0, 1.0 - 1e-9);
     let squared = resultant * resultant;

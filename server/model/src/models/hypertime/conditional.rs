@@ -11,7 +11,7 @@ use crate::special::square;
 /// The distribution p(a | x, t) of a value at a place and time (RA-L 2019 section III.C).
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeDistribution {
-    /// Over the value's coordinates alone, standardised.
+    /// The mixture over the value's coordinates alone, standardised.
     pub(super) mixture: Mixture,
     pub(super) axes: Vec<HypertimeAxis>,
 }

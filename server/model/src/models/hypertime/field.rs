@@ -1,7 +1,7 @@
 //! Values over place and time in hypertime: one mixture over location, circles and value (RA-L 2019 eq. 2).
 //!
 //! The value at a place and time is then a mixture of Gaussians, conditional on both (section III.F; in closed form
-//! here, not on a raster of values). Invariant: an answer is finite, and a mean lies within what was observed.
+//! here, not on a raster of values). Invariant: every result is finite, and a mean lies within the observed range.
 
 use super::axis::{HypertimeAxis, standardised};
 use super::candidates::{Candidates, HypertimePeriod, project};
@@ -17,7 +17,7 @@ use crate::{InvalidParts, Periodicities, StopSignal};
 #[cfg(test)]
 mod tests;
 
-/// Most coordinates of location and value together.
+/// Maximum number of coordinates of location and value together.
 const DIMENSIONS_MAX: usize = COORDINATES_MAX - 10;
 
 /// One reading of a value with a location.
@@ -25,13 +25,13 @@ const DIMENSIONS_MAX: usize = COORDINATES_MAX - 10;
 pub struct FieldReading {
     /// The moment.
     pub moment: Moment,
-    /// The location: any number of coordinates, the same for all readings; empty for a value of one place.
+    /// The location: any number of coordinates, equal for all readings; empty for a value of one place.
     pub location: Vec<f64>,
-    /// The value: one or more numbers, the same count for all readings. For events it is their place.
+    /// The value: one or more numbers, equally many for all readings. For events it is the place of the event.
     pub value: Vec<f64>,
 }
 
-/// What a [`HypertimeField`] consists of, for storage.
+/// The parts of a [`HypertimeField`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeFieldParts {
     /// The method of clustering.
@@ -57,8 +57,8 @@ pub struct HypertimeField {
 }
 
 impl HypertimeField {
-    /// Trains the model as [`super::Hypertime::train`] does, with the candidate periods of a map. From more than 4,000
-    /// readings, one is drawn from each of 4,000 equal runs in the given order.
+    /// Trains the model with the method of [`super::Hypertime::train`] and the candidate periods of a map. If there are
+    /// more than 4,000 readings, one is drawn from each of 4,000 equal runs in the given order.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings, an option is outside its range, readings differ in their number of
@@ -72,11 +72,12 @@ impl HypertimeField {
         HypertimeField::train_weighted(readings, &weights, (periodicities, options), StopSignal::NEVER)
     }
 
-    /// As [`HypertimeField::train`], where each reading has a weight above 0, unless it is told to stop.
+    /// Does the same as [`HypertimeField::train`], but each reading has a weight above 0, and the training can be
+    /// stopped.
     ///
     /// # Errors
-    /// As there; also if the number of weights differs from that of readings, or a weight is not a finite number above
-    /// 0; [`CannotTrain::Stop`].
+    /// The errors of [`HypertimeField::train`]; also an error if the number of weights differs from that of readings,
+    /// or a weight is not a finite number above 0; [`CannotTrain::Stop`].
     pub fn train_weighted(
         readings: &[FieldReading],
         weights: &[f64],
@@ -132,14 +133,14 @@ impl HypertimeField {
         Some(HypertimeDistribution::new(self.mixture.given(&coordinates, &circles), self.value.clone()))
     }
 
-    /// Probability density p(a | x, t) of a value at a place and time, per unit of each of its coordinates; `None` as
-    /// in [`HypertimeField::distribution`], also for such a value.
+    /// Probability density p(a | x, t) of a value at a place and time, per unit of each of its coordinates. `None` in
+    /// the cases of [`HypertimeField::distribution`], for the location or the value.
     pub fn density(&self, at: Moment, location: &[f64], value: &[f64]) -> Option<f64> {
         self.distribution(at, location)?.density(value, &vec![0.0; value.len()])
     }
 
-    /// The expected value at a place and time (RA-L 2019 eq. 4, of the conditional distribution); `None` as in
-    /// [`HypertimeField::distribution`].
+    /// The expected value at a place and time (RA-L 2019 eq. 4, of the conditional distribution); `None` in the cases
+    /// of [`HypertimeField::distribution`].
     pub fn mean(&self, at: Moment, location: &[f64]) -> Option<Vec<f64>> {
         Some(self.distribution(at, location)?.mean())
     }
@@ -153,7 +154,7 @@ impl HypertimeField {
         &self.periods
     }
 
-    /// The parts of the model; a model built from them predicts the same.
+    /// The parts of the model; a model built from them has equal predictions.
     pub fn to_parts(&self) -> HypertimeFieldParts {
         HypertimeFieldParts {
             method: self.method,

@@ -18,7 +18,7 @@ use crate::{StopSignal, civil::NANOS_PER_SEC};
 /// Maximum number of blocks of readings that are held out in turn.
 const FOLDS_MAX: usize = 4;
 const STARTS: u64 = 4;
-/// Starts with many clusters: most clusters then end in the same positions from any start.
+/// Number of starts with many clusters: most clusters then end in the same positions from any start.
 const STARTS_OF_MANY: u64 = 2;
 const MANY_CLUSTERS: usize = 20;
 /// A further circle must lower the error to this factor: it adds two dimensions, and a circle that follows only noise
@@ -30,7 +30,7 @@ const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 
 /// The circles of a model and of the models that leave a fold out, by their periods. They may differ: if a period were
-/// searched in the readings that later judge it, noise would pass for a rhythm.
+/// searched in the readings that later judge it, noise would count as a rhythm.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Circles {
     pub(super) all: Vec<HypertimePeriod>,
@@ -79,7 +79,7 @@ impl<M> Attempt<M> {
     }
 }
 
-/// How well held-out readings were predicted.
+/// The quality of the predictions of held-out readings.
 #[derive(Default)]
 pub(super) struct HeldOutScore {
     /// Sum of weight · squared error.
@@ -107,7 +107,7 @@ pub(super) trait Trainer<M> {
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M>;
 }
 
-/// How a model grows.
+/// The parameters of a model's growth.
 pub(super) struct Growth<'a> {
     /// Number of folds of the training data.
     pub(super) folds: usize,
@@ -183,12 +183,12 @@ fn best_start<M, F: Trainer<M>>(
     best
 }
 
-/// Which days belong to one fold.
+/// The assignment of days to folds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Dealing {
     /// Every fourth day.
     InTurn,
-    /// Days at random, always the same ones.
+    /// Days in a random order that is the same in every run.
     Shuffled,
 }
 
@@ -210,12 +210,12 @@ pub(super) fn deal(civil_nanos: &[i64], dealing: Dealing) -> (Vec<usize>, usize)
         (length, blocks) = (HOUR_NANOS, blocks_of(HOUR_NANOS));
     }
     let folds = blocks.len().clamp(1, FOLDS_MAX);
-    // The folds divide a day's hours: shifted from day to day. They do not divide a week's days.
+    // The folds divide a day's hours, so they are shifted from day to day. They do not divide a week's days.
     let shift = |block: i64| if length == HOUR_NANOS { block.div_euclid(24) } else { 0 };
     let mut dealt: Vec<usize> =
         blocks.iter().map(|&block| (block + shift(block)).rem_euclid(folds as i64) as usize).collect();
     let least = (0..folds).map(|fold| dealt.iter().filter(|dealt| **dealt == fold).count()).min();
-    // Such as readings of every fourth day.
+    // The folds are unequal, for example with readings of every fourth day only.
     if least.unwrap_or(0) * 2 * folds < blocks.len() {
         dealt = (0..blocks.len()).map(|index| index % folds).collect();
     }

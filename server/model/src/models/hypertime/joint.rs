@@ -26,21 +26,21 @@ const LOG_MAX: f64 = 20.0;
 pub(super) struct FieldPoint {
     pub(super) civil_nanos: i64,
     pub(super) fold: usize,
-    /// Above 0.
+    /// The weight, above 0.
     pub(super) weight: f64,
     pub(super) location: Vec<f64>,
     pub(super) value: Vec<f64>,
 }
 
 impl FieldPoint {
-    /// Which of `count` readings are kept: all, or one drawn from each of equal runs.
+    /// The indices of the kept readings of `count`: all, or one drawn from each of equal runs.
     pub(super) fn thinned(count: usize, seed: u64) -> Vec<usize> {
         if count <= READINGS_MAX {
             return (0..count).collect();
         }
         let mut rng = SmallRng::seed_from_u64(seed);
         let start = |run: usize| (run as u128 * count as u128 / READINGS_MAX as u128) as usize;
-        // Random, because a fixed stride could always hit the same minute of the hour.
+        // The draw is random, because a fixed stride could always hit the same minute of the hour.
         (0..READINGS_MAX).map(|run| rng.random_range(start(run)..start(run + 1))).collect()
     }
 }
@@ -56,7 +56,8 @@ pub(super) struct FieldTraining<'a> {
 }
 
 impl<'a> FieldTraining<'a> {
-    /// The readings in hypertime: location, circles where they are coordinates, value; then circles where they are not.
+    /// The readings in hypertime: location, circles as coordinates if they are coordinates, value; then circles that
+    /// are not coordinates.
     fn points(&self, periods: &[HypertimePeriod]) -> Points<'a> {
         let first = self.readings.first();
         let linear = first.map_or(0, |reading| reading.location.len() + reading.value.len());
@@ -130,7 +131,8 @@ impl Trainer<CircledMixture> for FieldTraining<'_> {
         let mixture = Mixture::train(&points, clusters, seed, FIRST_STEPS);
         let mut score = HeldOutScore::default();
         for (fold, periods) in circles.without.iter().enumerate() {
-            // Starts from the model of all readings, so that its optimum is judged; with other circles, from scratch.
+            // The training starts from the model of all readings, so that its optimum is judged; with other circles,
+            // from scratch.
             if *periods == circles.all {
                 let mut trained = mixture.clone();
                 trained.train_further(&self.others(&points, fold), FOLD_STEPS);

@@ -10,14 +10,14 @@ use super::options::HypertimeOptions;
 use super::seeding::{Points, first_clusters, spread};
 use crate::InvalidParts;
 
-/// Stops when a step gains fewer nats per reading than this.
+/// Training stops when a step gains fewer nats per reading than this.
 const GAIN_MIN: f64 = 1e-5;
 
 /// The sums of one step over the readings, for one cluster; coordinates are relative to its present centre.
 struct Moments {
     weight: f64,
     first: Vec<f64>,
-    /// Row-major lower triangle.
+    /// The second moments as a row-major lower triangle.
     second: Vec<f64>,
     circles: Vec<f64>,
 }
@@ -51,7 +51,7 @@ impl Mixture {
         }
     }
 
-    /// One step; the mean log-likelihood is that of the mixture before it.
+    /// Makes one step and returns the mean log-likelihood of the mixture before it.
     fn step(&mut self, points: &Points, spread: &[f64]) -> f64 {
         let coordinates = points.coordinates;
         let mut moments: Vec<Moments> = self.clusters.iter().map(|_| Moments::new(points)).collect();
@@ -76,7 +76,7 @@ impl Mixture {
         likelihood / total
     }
 
-    /// ln density: of the circles and the first `given` coordinates, and of the circles and all coordinates.
+    /// ln density of the circles and the first `given` coordinates, and of the circles and all coordinates.
     pub(super) fn log_densities(&self, numbers: &[f64], coordinates: usize, given: usize) -> (f64, f64) {
         let (linear, circles) = numbers.split_at(coordinates);
         let (mut first, mut all) = (LogSum::default(), LogSum::default());

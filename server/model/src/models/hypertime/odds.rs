@@ -1,9 +1,9 @@
 //! A probability in hypertime: the density of readings that are 1 against that of readings that are 0.
 //!
 //! p = γ·n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between 0 and 1 counts
-//! for both. γ makes the mean prediction over the readings equal to their mean (eq. 3, as its text says; the sum
-//! printed in its denominator runs over the readings that are 1 alone). Densities are those of the plane in which each
-//! circle lies. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
+//! for both. γ makes the mean prediction over the readings equal to their mean (eq. 3, according to its text; the
+//! printed sum in its denominator runs over the readings that are 1 alone). Densities are those of the plane in which
+//! each circle lies. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
 
 use super::candidates::{HypertimePeriod, project};
 use super::mixture::Mixture;
@@ -15,7 +15,7 @@ const LOG_MAX: f64 = 300.0;
 /// Bound on ln γ.
 const GAIN_LOG_MAX: f64 = 20.0;
 
-/// What a hypertime model of a probability consists of, for storage.
+/// The parts of a hypertime model of a probability, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeOddsParts {
     /// The method of clustering.
@@ -51,7 +51,7 @@ pub(super) struct Odds {
     zeros: Mixture,
 }
 
-/// Coordinates of the Gaussians, and circles.
+/// The numbers of coordinates of the Gaussians, and of circles.
 pub(super) fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
     match method {
         HypertimeMethod::Em => (2 * periods, 0),
@@ -60,7 +60,7 @@ pub(super) fn shape(method: HypertimeMethod, periods: usize) -> (usize, usize) {
 }
 
 impl Odds {
-    /// The mean alone.
+    /// The model that predicts the mean alone.
     pub(super) fn constant(method: HypertimeMethod, periods: &[HypertimePeriod], mean: f64, background: f64) -> Odds {
         Odds {
             method,
@@ -75,7 +75,7 @@ impl Odds {
         }
     }
 
-    /// With mixtures of the readings that are 1 and 0; `weights` are the sums of their weights, `everywhere` points
+    /// Adds mixtures of the readings that are 1 and 0; `weights` are the sums of their weights, `everywhere` points
     /// spread evenly over all times.
     pub(super) fn with_mixtures<'a>(
         self,
@@ -88,7 +88,8 @@ impl Odds {
             return odds;
         }
         let (ones, zeros) = weights;
-        // The mean of the density of all readings over all times is their number, so that the prior has its weight.
+        // The mean of the density of all readings over all times is the number of readings, so that the prior has its
+        // weight.
         let both = |point: &'a [f64]| {
             let (one, zero) = odds.log_densities(point);
             log_sum(libm::log(ones) + one, libm::log(zeros) + zero)
@@ -100,7 +101,7 @@ impl Odds {
         odds
     }
 
-    /// With γ (eq. 3), by bisection of its logarithm: predictions end at 1, and their mean is monotonic in γ.
+    /// Computes γ (eq. 3), by bisection of its logarithm: predictions end at 1, and their mean is monotonic in γ.
     /// `observed` are the points of the readings and their weights.
     pub(super) fn with_gain<'a>(self, observed: impl Iterator<Item = (&'a [f64], f64)>) -> Odds {
         if self.is_constant() {

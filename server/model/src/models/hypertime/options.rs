@@ -1,4 +1,4 @@
-//! How a warped hypertime model is trained.
+//! The options of training a warped hypertime model.
 
 use crate::models::CannotTrain;
 
@@ -12,7 +12,7 @@ pub enum HypertimeMethod {
     Km,
 }
 
-/// How a hypertime model is trained.
+/// The options of training a hypertime model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HypertimeOptions {
     /// The method of clustering.
@@ -20,7 +20,7 @@ pub struct HypertimeOptions {
     /// Number of clusters (HyT-EM; for a probability, for each of the two values), or the maximum (HyT-KM); 1 to
     /// [`HypertimeOptions::CLUSTERS_MAX`]. Fewer where there are fewer distinct readings.
     pub clusters: usize,
-    /// Seed of the starts of the clustering; of a field also of the readings that are drawn.
+    /// Seed of the starts of the clustering; in a field, also of the draw of readings.
     pub seed: u64,
 }
 

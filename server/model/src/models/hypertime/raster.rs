@@ -14,14 +14,14 @@ mod tests;
 
 /// Deviations beyond which 1e-15 of a Gaussian is left.
 const FARTHEST: f64 = 8.0;
-/// Deviations that a strip is wide, at most.
+/// Maximum width of a strip, in deviations.
 const STRIP: f64 = 0.25;
 
 impl HypertimeDistribution {
-    /// Probability of each cell of a box: cell 0 begins at `low` along each axis, all are `width` wide, and there are
-    /// `counts` of them along each axis; the first axis goes first. They sum to at most 1: the rest lies outside.
-    /// `None` if a list does not have one number for each coordinate, a number is not finite, the width not above 0, a
-    /// count 0, or there are too many cells.
+    /// Probability of each cell of a box. Cell 0 begins at `low` along each axis, all cells are `width` wide, and there
+    /// are `counts` of them along each axis; the first axis varies fastest. The probabilities sum to at most 1: the
+    /// rest lies outside. `None` if a list does not have one number for each coordinate, a number is not finite, the
+    /// width is not above 0, a count is 0, or there are too many cells.
     pub fn cells(&self, low: &[f64], width: f64, counts: &[usize]) -> Option<Vec<f64>> {
         let coordinates = self.axes.len();
         if low.len() != coordinates || counts.len() != coordinates || counts.contains(&0) {
@@ -49,7 +49,7 @@ struct Raster<'a> {
 }
 
 impl Raster<'_> {
-    /// Distributes the mass for given deviations of the previous axes; its cells are `first`, `first` + `stride`, ….
+    /// Distributes the mass for given deviations of the previous axes to the cells `first`, `first` + `stride`, ….
     fn share_out(&self, mass: f64, given: &[f64], (first, stride): (usize, usize), cells: &mut [f64]) {
         let axis = given.len();
         let parts = self.cluster.parts();

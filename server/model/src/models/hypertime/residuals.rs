@@ -1,7 +1,7 @@
 //! Errors of a hypertime model, and the strength of each candidate period in them.
 //!
-//! Invariant: the strength of a candidate is |Σ (ε - ε̄) e^(-j2πt/T)| over the errors; those of candidates that divide
-//! the cycle are taken from sums by slot, the others from phasors that are summed as the errors come.
+//! Invariant: the strength of a candidate is |Σ (ε - ε̄) e^(-j2πt/T)| over the errors. For candidates that divide the
+//! cycle it is computed from sums by slot, for the others from phasors that are summed when the errors are added.
 
 use std::f64::consts::TAU;
 
@@ -11,21 +11,21 @@ use crate::special::square;
 #[cfg(test)]
 mod tests;
 
-/// Of candidates that differ by less than rounding, the longer one is taken.
+/// If candidates differ by less than rounding, the longer one is chosen.
 const ROUNDING: f64 = 1e-9;
 
 /// Errors of a model for one or more dimensions of the value.
 #[derive(Clone, Debug)]
 pub(super) struct Residuals {
     dimensions: usize,
-    /// By slot of the cycle.
+    /// The weights by slot of the cycle.
     weights: Vec<f64>,
     /// `dimensions` sums of weight · error for each slot.
     sums: Vec<f64>,
     /// For each candidate that does not divide the cycle, cosine and sine: summed weights, then summed weight · error
     /// of each dimension.
     phasors: Vec<[f64; 2]>,
-    /// How long the slots were in which errors were taken; 0 for the slots of the cycle, or for the readings' times.
+    /// Length of the slots of the errors; 0 for the slots of the cycle, or for the readings' times.
     coarseness_nanos: i64,
 }
 
@@ -41,12 +41,12 @@ impl Residuals {
         }
     }
 
-    /// These residuals, with errors taken in slots of this length.
+    /// Makes residuals whose errors are computed in slots of this length.
     pub(super) fn in_slots_of(self, coarseness_nanos: i64) -> Residuals {
         Residuals { coarseness_nanos, ..self }
     }
 
-    /// The sum of several, of the same candidates and number of dimensions; `None` without any.
+    /// The sum of several residuals with equal candidates and number of dimensions; `None` without any.
     pub(super) fn combined<'a>(mut parts: impl Iterator<Item = &'a Residuals>) -> Option<Residuals> {
         let first = parts.next()?.clone();
         Some(parts.fold(first, |mut sum, part| {
@@ -93,7 +93,7 @@ impl Residuals {
     /// Strength of each candidate period in the error, those of the cycle first: |Σ (ε - ε̄) e^(-j2πt/T)| of RA-L 2019
     /// eq. 7 (printed with the modulus inside the sum, which would leave the period out), over all dimensions.
     pub(super) fn spectrum(&self, candidates: &Candidates) -> Vec<(HypertimePeriod, f64)> {
-        // From the slots' beginnings: half a slot of shift does not change the modulus.
+        // Phasors are those of the slots' beginnings: half a slot of shift does not change the modulus.
         let slots = self.weights.len();
         let phasors: Vec<(f64, f64)> = (0..slots).map(|slot| libm::sincos(TAU * slot as f64 / slots as f64)).collect();
         let total: f64 = self.weights.iter().sum();
@@ -122,7 +122,7 @@ impl Residuals {
         spectrum
     }
 
-    /// The strongest unused candidate that the readings can tell of.
+    /// The strongest unused candidate that the readings can resolve.
     pub(super) fn strongest(&self, candidates: &Candidates, taken: &[HypertimePeriod]) -> Option<HypertimePeriod> {
         let mut best: Option<(f64, HypertimePeriod)> = None;
         let mut spectrum = self.spectrum(candidates);

@@ -2,7 +2,7 @@
 //!
 //! On the circles the distance is the cosine distance 1 - cos Δ, elsewhere half the squared Euclidean one (RA-L 2019
 //! section III.H; half, because squared chords are 2(1 - cos Δ)). The first centres are drawn by k-means++ (D. Arthur
-//! and S. Vassilvitskii, 2007). Invariant: the same points and seed give the same clusters.
+//! and S. Vassilvitskii, 2007). Invariant: equal points and seed give equal clusters.
 
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
@@ -16,11 +16,11 @@ pub(super) struct Points<'a> {
     pub(super) coordinates: usize,
     pub(super) circles: usize,
     pub(super) numbers: Vec<f64>,
-    /// Above 0.
+    /// The weights, above 0.
     pub(super) weights: Vec<f64>,
     /// The weight of independent readings: readings of the same hour are nearly repetitions.
     pub(super) unit: f64,
-    /// Ends a training on them early; its result must then not be used.
+    /// Ends a training on these points early; its result must then not be used.
     pub(super) stop: StopSignal<'a>,
 }
 
@@ -33,9 +33,9 @@ impl<'a> Points<'a> {
         self.coordinates + 2 * self.circles
     }
 
-    /// Numbers and weight of each.
+    /// The numbers and weight of each point.
     pub(super) fn iter(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        // At least 1, so that points without coordinates and circles are counted.
+        // The stride is at least 1, so that points without coordinates and circles are counted.
         let stride = self.stride();
         self.weights.iter().enumerate().map(move |(index, &weight)| (&self.numbers[index * stride..][..stride], weight))
     }
@@ -90,7 +90,7 @@ fn distance(point: &[f64], centre: &[f64], coordinates: usize) -> f64 {
     let (centre_linear, centre_circles) = centre.split_at(coordinates);
     let squared: f64 = linear.iter().zip(centre_linear).map(|(a, b)| (a - b) * (a - b)).sum();
     let cosines: f64 = circles.iter().zip(centre_circles).map(|(a, b)| a * b).sum();
-    // Rounding must not make it negative: it is a weight in a draw.
+    // Rounding must not make the distance negative: it is a weight in a draw.
     (0.5 * squared + (circles.len() / 2) as f64 - cosines).max(0.0)
 }
 
@@ -103,7 +103,7 @@ fn k_means(points: &Points, clusters: usize, rng: &mut SmallRng) -> Vec<Vec<f64>
     while centres.len() < clusters.max(1) {
         let masses = || nearest.iter().zip(&points.weights).map(|(near, weight)| near * weight);
         let total: f64 = masses().sum();
-        // All points are at a centre.
+        // If the sum is this small, all points are at a centre.
         if total <= 1e-12 * points.weights.iter().sum::<f64>() {
             break;
         }
@@ -129,8 +129,8 @@ fn k_means(points: &Points, clusters: usize, rng: &mut SmallRng) -> Vec<Vec<f64>
     centres
 }
 
-/// Moves each centre to the mean of the points that are nearest to it, on circles to its direction; false where none
-/// moved.
+/// Moves each centre to the mean of the points that are nearest to it, on circles to its direction; returns false if
+/// none moved.
 fn move_to_means(points: &Points, centres: &mut [Vec<f64>]) -> bool {
     let mut sums = vec![(0.0, vec![0.0; points.stride()]); centres.len()];
     for (numbers, weight) in points.iter() {
@@ -162,7 +162,7 @@ fn move_to_means(points: &Points, centres: &mut [Vec<f64>]) -> bool {
                 pair[0] /= length;
                 pair[1] /= length;
             } else {
-                // No direction is better than another.
+                // There is no best direction, so the centre gets the direction 0.
                 pair.copy_from_slice(&[1.0, 0.0]);
             }
         }

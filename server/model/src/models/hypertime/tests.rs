@@ -1,4 +1,4 @@
-//! Warped hypertime of one state: the rhythms it finds, and its robustness against any readings.
+//! Tests warped hypertime of one state: the rhythms that it finds, and its robustness against any readings.
 
 use proptest::prelude::*;
 
@@ -65,7 +65,7 @@ fn a_weekend_is_not_a_working_day() {
 
 #[test]
 fn where_there_is_no_rhythm_there_is_no_period() {
-    // A value that a linear congruence draws.
+    // The values are drawn by a linear congruence.
     let mut state = 1_u64;
     let mut draw = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -121,7 +121,7 @@ fn values_that_do_not_change_are_predicted() {
                     Hypertime::train_continuous(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
                 ] {
                     let p = model.predict(minute(77));
-                    // A value of one half counts as 1 and 0 alike, and may give a model that is constant up to
+                    // A value of one half counts equally as 1 and 0, and may give a model that is constant up to
                     // rounding.
                     assert!((p - value).abs() < 1e-6, "{method:?}, {count} of {value}: {p}");
                 }

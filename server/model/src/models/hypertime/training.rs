@@ -1,7 +1,7 @@
 //! Readings of a probability in hypertime, and models of them that leave a fold out.
 //!
 //! Readings are summed by slots, so that years of them take little longer than weeks: by slots of the candidates' cycle
-//! for circles that divide it, by slots of time for others. Invariant: a model sees only the weights of its folds.
+//! for circles that divide it, by slots of time for others. Invariant: a model uses only the weights of its folds.
 
 use std::collections::BTreeMap;
 
@@ -18,23 +18,24 @@ const FIRST_STEPS: usize = 60;
 const FOLD_STEPS: usize = 15;
 /// Probabilities are clipped to this and 1 minus this for scoring.
 const PROBABILITY_MIN: f64 = 1e-4;
-/// Most slots of time. The shortest is five minutes; they double in length until there are no more than this.
+/// Maximum number of slots of time. The shortest is five minutes; slots double in length until there are at most this
+/// many.
 const TIMES_MAX: usize = 8_760;
 const TIME_MIN_NANOS: i64 = 300 * NANOS_PER_SEC;
-/// Times that stand for all times, spread evenly by the golden ratio.
+/// Number of times that represent all times, spread evenly by the golden ratio.
 const EVERYWHERE: u64 = 2_016;
 
 /// A reading of a probability.
 pub(super) struct OddsReading {
     pub(super) civil_nanos: i64,
     pub(super) fold: usize,
-    /// Above 0.
+    /// The weight, above 0.
     pub(super) weight: f64,
-    /// In `[0,1]`.
+    /// The probability, in `[0,1]`.
     pub(super) probability: f64,
 }
 
-/// Weights of readings by slot: of 1, and of 0.
+/// Weights of readings by slot: those of 1, and those of 0.
 #[derive(Clone, Debug)]
 struct SlotWeights {
     ones: Vec<f64>,
@@ -46,7 +47,7 @@ impl SlotWeights {
         SlotWeights { ones: vec![0.0; slots], zeros: vec![0.0; slots] }
     }
 
-    /// A value in `[0,1]` adds to both.
+    /// Adds a reading; a value in `[0,1]` adds to both.
     fn add(&mut self, slot: usize, weight: f64, value: f64) {
         self.ones[slot] += weight * value;
         self.zeros[slot] += weight * (1.0 - value);
@@ -81,7 +82,7 @@ pub(super) struct OddsTraining<'a> {
     /// A local civil time in the middle of each slot of time.
     times: Vec<i64>,
     time_nanos: i64,
-    /// Local civil times that stand for all times.
+    /// Local civil times that represent all times.
     everywhere: Vec<i64>,
     method: HypertimeMethod,
     /// The weight of independent readings.
@@ -130,7 +131,7 @@ impl<'a> OddsTraining<'a> {
         let (ones, zeros) = counts.sums();
         let mean = (ones / (ones + zeros)).clamp(0.0, 1.0);
         let odds = Odds::constant(self.method, &hypertime.periods, mean, self.unit);
-        // Also if there is too little of one kind.
+        // The mean is also used if there is too little of one kind.
         if hypertime.periods.is_empty() || mean <= 1e-9 || mean >= 1.0 - 1e-9 {
             return odds;
         }
@@ -144,7 +145,7 @@ impl<'a> OddsTraining<'a> {
         (fresh(&counts.ones), fresh(&counts.zeros))
     }
 
-    /// Adds the errors of a model on a fold that it has not seen.
+    /// Adds the errors of a model on a fold that it was not trained on.
     fn score(&self, trained: &Odds, hypertime: &Hypergrid<'_>, fold: usize, score: &mut HeldOutScore) {
         let is_by_time = hypertime.is_by_time;
         let coarseness_nanos = if is_by_time { self.time_nanos } else { 0 };
@@ -180,7 +181,8 @@ impl Trainer<Odds> for OddsTraining<'_> {
         let mut score = HeldOutScore::default();
         for (fold, periods) in circles.without.iter().enumerate() {
             let seen = hypertime.without(Some(fold));
-            // Starts from the model of all readings, so that its optimum is judged; with other circles, from scratch.
+            // The training starts from the model of all readings, so that its optimum is judged; with other circles,
+            // from scratch.
             let again = |mixture: &Mixture, weights: &[f64]| {
                 let mut mixture = mixture.clone();
                 mixture.train_further(&hypertime.points(weights), FOLD_STEPS);
@@ -201,13 +203,13 @@ impl Trainer<Odds> for OddsTraining<'_> {
     }
 }
 
-/// Every slot in hypertime: of the cycle, or of time where a circle does not divide the cycle.
+/// Every slot in hypertime: slots of the cycle, or of time if a circle does not divide the cycle.
 struct Hypergrid<'a> {
     training: &'a OddsTraining<'a>,
     periods: Vec<HypertimePeriod>,
     is_by_time: bool,
     numbers: Vec<f64>,
-    /// Points that stand for all times, where the slots do not.
+    /// Points that represent all times, if the slots do not.
     everywhere: Vec<f64>,
 }
 
@@ -266,7 +268,7 @@ impl<'a> Hypergrid<'a> {
     }
 }
 
-/// The length of the slots of time, and the number of each that holds a reading, by its place on the line of time.
+/// The length of the slots of time, and the index of each slot that holds a reading, by its number on the time line.
 fn time_slots(readings: &[OddsReading]) -> (i64, BTreeMap<i64, usize>) {
     let mut length = TIME_MIN_NANOS;
     let mut slots: Vec<i64> = readings.iter().map(|reading| reading.civil_nanos.div_euclid(length)).collect();
@@ -280,7 +282,7 @@ fn time_slots(readings: &[OddsReading]) -> (i64, BTreeMap<i64, usize>) {
     (length, slots.into_iter().zip(0..).collect())
 }
 
-/// One of the times that are spread evenly between two.
+/// One of the times that are spread evenly between two times.
 fn evenly(index: u64, first: i64, last: i64) -> i64 {
     let share = (index as f64 * 0.618_033_988_749_894_9).fract();
     let span = i128::from(last) - i128::from(first);

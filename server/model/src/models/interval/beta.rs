@@ -1,6 +1,6 @@
 //! Credible intervals of probabilities: shortest intervals of Beta distributions by numerical integration.
 //!
-//! With x = 1/(1 + e^-u) the density of u is proportional to x^α (1 - x)^β: smooth, with one peak, whatever α and β; so
+//! With x = 1/(1 + e^-u) the density of u is proportional to x^α (1 - x)^β: smooth, with one peak, for any α and β. So
 //! equal steps in u integrate it well, where the density of x itself may be infinite at the ends. The trapezoids of a
 //! coarse grid are corrected by the slope of the density at their ends (Euler and Maclaurin), and the cubic polynomials
 //! of these masses and densities give the masses of a grid four times finer. The mass beyond the grid is added in
@@ -8,7 +8,7 @@
 
 use super::{HourMoments, Interval};
 
-/// The weights of the priors with little data; found by rolling origin on ten weeks of one office door.
+/// The weights of the priors with little data; they were found by rolling origin on ten weeks of one office door.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct IntervalPrior {
     /// The weight of the scatter of all hours, in days of the hour itself.
@@ -21,9 +21,10 @@ pub(super) struct IntervalPrior {
 
 pub(super) const INTERVAL_PRIOR: IntervalPrior = IntervalPrior { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
 
-/// Levels, and the mass that holds the mean of the hour so often. A door is often shut for the whole hour, which a Beta
-/// distribution shows only in part: medium intervals would hold too little, and wide ones too, because routines change.
-/// Found by rolling origin on ten weeks of one office door, from 08 to 18 h of working days.
+/// Levels, and the mass that holds the mean of the hour with this frequency. A door is often shut for the whole hour,
+/// which a Beta distribution fits only in part: medium intervals would hold too little, and wide ones too, because
+/// routines change. The masses were found by rolling origin on ten weeks of one office door, from 08 to 18 h of working
+/// days.
 const MASSES: [(f64, f64); 9] = [
     (0.0, 0.0),
     (0.3, 0.3),
@@ -36,15 +37,15 @@ const MASSES: [(f64, f64); 9] = [
     (1.0, 1.0),
 ];
 
-/// The prior of the scatter: that of the uniform distribution, with the weight of one day.
+/// The prior of the scatter: the scatter of the uniform distribution, with the weight of one day.
 const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
 
 /// The band that holds the mean of the state over the hour around a moment with probability `level`.
 ///
 /// `p` is the prediction of a model for the moment; the band is the shortest that contains it. `hour` sums this hour of
-/// the day on such days (weekdays, or the weekend), `all` all hours together. The band is wider with fewer days;
-/// without data of the hour it is `[0,1]`. `p` and `level` outside `[0,1]` count as the nearer end, a `p` that is NaN
-/// as no data, a `level` that is NaN as 1.
+/// the day over days of its kind (weekdays, or the weekend), `all` sums all hours together. The band is wider with
+/// fewer days; without data of the hour it is `[0,1]`. `p` and `level` outside `[0,1]` count as the nearer end, a `p`
+/// that is NaN as no data, a `level` that is NaN as 1.
 pub fn credible_interval(p: f64, hour: HourMoments, all: HourMoments, level: f64) -> Interval {
     interval(p, hour, all, level, INTERVAL_PRIOR)
 }
@@ -63,7 +64,7 @@ pub(super) fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, 
     found
 }
 
-/// The mass of the Beta distribution that an interval of a level holds, both in `[0,1]`.
+/// The mass of the Beta distribution in an interval of a level, both in `[0,1]`.
 fn mass_of(level: f64) -> f64 {
     let next = MASSES.partition_point(|(other, _)| *other < level).clamp(1, MASSES.len() - 1);
     let ((from, low), (to, high)) = (MASSES[next - 1], MASSES[next]);
@@ -75,12 +76,12 @@ fn blend((value, weight): (f64, f64), (other, other_weight): (f64, f64)) -> f64 
     (value * weight + other * other_weight) / (weight + other_weight)
 }
 
-/// Steps of the coarse grid, and parts of each.
+/// Number of steps of the coarse grid, and number of parts of each step.
 const STEPS: usize = 96;
 const PARTS: usize = 4;
 /// Number of points of the fine grid.
 const POINTS: usize = STEPS * PARTS + 1;
-/// The grid ends at x = 8e-7 from 0 or 1, if not before.
+/// The grid ends at x = 8e-7 from 0 or 1, if not earlier.
 const FARTHEST: f64 = 14.0;
 /// The limits of the scatter, so that α and β stay in range.
 const SCATTERS: std::ops::RangeInclusive<f64> = 1e-6..=0.999;
@@ -115,7 +116,7 @@ impl Beta {
         let total = 1.0 / scatter.clamp(*SCATTERS.start(), *SCATTERS.end()) - 1.0;
         let mean = mean.clamp(1e-9, 1.0 - 1e-9);
         let (alpha, beta) = (total * mean, total * (1.0 - mean));
-        // Twelve standard deviations of u about the peak, which contains nearly all of the tails.
+        // The grid extends twelve standard deviations of u about the peak, which contains nearly all of the tails.
         let (peak, reach) = (libm::log(alpha / beta), 12.0 * (1.0 / alpha + 1.0 / beta).sqrt());
         let first = (peak - reach).clamp(-FARTHEST, FARTHEST - 1.0);
         let last = (peak + reach).clamp(first + 1e-3, FARTHEST);
@@ -136,7 +137,7 @@ impl Beta {
             Node { x, x_slope: x * y, density, density_slope: density * (alpha * y - beta * x) }
         };
         let mut from = node(0);
-        // ∫ x^(α-1) (1 - x)^(β-1) from 0 to x0 is nearly x0^α (1 - x0)^β / α, and alike at the other end.
+        // ∫ x^(α-1) (1 - x)^(β-1) from 0 to x0 is nearly x0^α (1 - x0)^β / α; the other end is symmetric.
         let mut sum = from.density / alpha;
         let (mut places, mut below) = ([from.x; POINTS], [sum; POINTS]);
         for i in 0..STEPS {
@@ -164,7 +165,8 @@ impl Beta {
     pub(super) fn shortest_around(&self, p: f64, level: f64, end: f64) -> Interval {
         let (cuts, count) = self.cuts(p, end);
         let cuts = &cuts[..count];
-        // Where the mass below reaches `mass`, in the part that ends with a cut. The parts at the ends are not divided.
+        // The point at which the mass below reaches `mass`, in the part that ends with a cut. The parts at the ends are
+        // not divided.
         let place = |next: usize, mass: f64| -> f64 {
             let (to, Some(from)) = (cuts[next], next.checked_sub(1).map(|i| cuts[i])) else { return cuts[next].0 };
             if next == 1 || next + 1 == count || to.1 <= from.1 {
@@ -180,7 +182,7 @@ impl Beta {
         };
         let mut upper = 0;
         for &(from, below) in cuts.iter().take_while(|cut| cut.0 <= p) {
-            // Both ends move up together: finds the first upper end for this lower end.
+            // Both ends move up together: the loop finds the first upper end for this lower end.
             while upper < count && (cuts[upper].0 < p || cuts[upper].1 - below < level) {
                 upper += 1;
             }
@@ -189,7 +191,7 @@ impl Beta {
             }
             offer(from, place(upper, below + level).max(p));
         }
-        // The last lower end for the upper ends that are the prediction or near 1.
+        // The loop finds the last lower end for the upper ends that are the prediction or near 1.
         for &(to, below) in cuts.iter().filter(|cut| cut.0 == p || cut.0 >= 1.0 - end).filter(|cut| cut.0 >= p) {
             let Some(last) = cuts.partition_point(|cut| cut.1 <= below - level).checked_sub(1) else { continue };
             let is_divided = last > 0 && last + 2 < count;
@@ -199,8 +201,8 @@ impl Beta {
         best
     }
 
-    /// The points at which an interval may begin or end, with the probability of less, in order, and their number: 0
-    /// and 1, `end` from both, the fine grid between, and `p`.
+    /// The points at which an interval may begin or end, in order, with the probability of less than each, and the
+    /// number of points. They are 0 and 1, `end` from both, the fine grid between, and `p`.
     fn cuts(&self, p: f64, end: f64) -> ([(f64, f64); POINTS + 5], usize) {
         let mut cuts = [(1.0, 1.0); POINTS + 5];
         let (first, last) =

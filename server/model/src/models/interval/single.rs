@@ -1,9 +1,9 @@
 //! Tail probabilities of single values of states that are not probabilities.
 //!
-//! Continuous values are taken to be normal about the prediction. Counts are taken to be negative binomial, a Poisson
-//! distribution whose rate differs from time to time, with the variance φ·λ, φ ≥ 1, λ the prediction (the form called
-//! NB1: A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied Econometrics
-//! 1986). As φ goes to 1 it becomes Poisson. Invariant: the result is in `[0,1]` for all arguments.
+//! Continuous values are assumed to be normal about the prediction. Counts are assumed to be negative binomial, a
+//! Poisson distribution whose rate differs from time to time, with the variance φ·λ, φ ≥ 1, λ the prediction (the form
+//! called NB1: A. C. Cameron and P. K. Trivedi, "Econometric models based on count data", Journal of Applied
+//! Econometrics 1986). As φ goes to 1 it becomes Poisson. Invariant: the result is in `[0,1]` for all arguments.
 
 use crate::{StateKind, VALUE_MAX, special::normal_tail};
 
@@ -15,15 +15,15 @@ const DISPERSION_MIN: f64 = 1.000_01;
 /// Above this mean, or this dispersion, counts are treated as normal, because sums would be long.
 const SUMMED_MEAN_MAX: f64 = 600.0;
 const DISPERSION_MAX: f64 = 1e4;
-/// Values are distinguished from their prediction to this share of it: sums of squares are not more precise.
+/// Values are distinguished from their prediction down to this share of it: sums of squares are not more precise.
 const DEVIATION_MIN: f64 = 1e-6;
 
-/// The probability of a value at least as far out as `value`, to either side: twice the probability of one at least as
-/// large, or at least as small, whichever is less; at most 1.
+/// The probability of a value at least as far out as `value`, to either side: twice the lesser of the probabilities of
+/// a value at least as large, and of a value at least as small; at most 1.
 ///
-/// `expected` is the prediction, `variance` that of single values about it, at least 0. The value lies outside of the
-/// two-sided interval of confidence C where this is less than 1 - C. A prediction or variance that is not finite counts
-/// as 0; a value that is not finite has the tail 0.
+/// `expected` is the prediction, `variance` is the variance of single values about it, at least 0. The value lies
+/// outside of the two-sided interval of confidence C if this is less than 1 - C. A prediction or variance that is not
+/// finite counts as 0; a value that is not finite has the tail 0.
 pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> f64 {
     if !value.is_finite() {
         return 0.0;
@@ -41,7 +41,8 @@ pub fn value_tail(kind: StateKind, expected: f64, variance: f64, value: f64) -> 
     (2.0 * one_sided).clamp(0.0, 1.0)
 }
 
-/// The lesser of the probabilities of a count of at most and of at least `value`, of that mean and variance φ·mean.
+/// The lesser of the probabilities of a count of at most `value` and of at least `value`, with that mean and the
+/// variance φ·mean.
 fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
     if value < 0.0 {
         return 0.0;
@@ -50,7 +51,7 @@ fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
         return if value > 0.0 { 0.0 } else { 1.0 };
     }
     if mean > SUMMED_MEAN_MAX || dispersion > DISPERSION_MAX {
-        // Continuity correction of one half.
+        // A continuity correction of one half.
         let distance = ((value - mean).abs() - 0.5).max(0.0);
         return normal_tail(distance / (dispersion * mean).sqrt());
     }

@@ -77,7 +77,8 @@ fn a_table_of_hours_gives_the_same_moments() {
     assert_eq!((from_spread.days, from_spread.sum), (from_days.days, from_days.sum));
 }
 
-/// Probability of less than x under a Beta distribution of whole α and β: that of α or more successes of α + β - 1.
+/// Probability of less than x under a Beta distribution of whole α and β: the probability of α or more successes in α +
+/// β - 1 trials.
 fn binomial_tail(alpha: u32, beta: u32, x: f64) -> f64 {
     let tries = alpha + beta - 1;
     let mut choose = 1.0;
@@ -151,7 +152,7 @@ proptest! {
         let found = beta.shortest_around(p, level, 0.01);
         let up_to = |x: f64| if x >= 1.0 { 1.0 } else if x <= 0.0 { 0.0 } else { beta.mass_below(x) };
         prop_assert!(up_to(found.upper) - up_to(found.lower) >= level - 1e-9);
-        // A naive search over lower ends finds none that is shorter by more than its own step.
+        // A naive search over lower ends returns no interval that is shorter by more than its own step.
         for step in 0..200 {
             let lower = f64::from(step) / 200.0;
             let upper = lower + found.width() - 0.02;

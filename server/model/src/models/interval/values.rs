@@ -18,10 +18,10 @@ fn number(found: f64) -> f64 {
 /// The band that holds the mean of the state over the hour around a moment with probability `level`: the prediction p,
 /// which lies in the kind's bounds, ± z·σ, where z is the quantile of the normal distribution at (1 + level)/2.
 ///
-/// σ² is the variance between days of this hour of the day on such days, `hour`, shrunk towards the variance of single
-/// readings, `readings`, with the weight of one day, and widened by 1 + 1/days for the uncertainty of the mean of these
-/// days. Without data of the hour σ² is twice the variance of single readings. `level` outside `[0, 0.999999]` counts
-/// as the nearer end, NaN as the upper end.
+/// σ² is the variance between days of this hour of the day on days of this kind, `hour`. It is shrunk towards the
+/// variance of single readings, `readings`, with the weight of one day, and widened by 1 + 1/days for the uncertainty
+/// of the mean of these days. Without data of the hour σ² is twice the variance of single readings. `level` outside
+/// `[0, 0.999999]` counts as the nearer end, NaN as the upper end.
 pub fn value_interval(kind: StateKind, p: f64, hour: HourMoments, readings: f64, level: f64) -> Interval {
     let days = number(hour.days);
     let mean = if days > 0.0 { kind.saturate(hour.sum / days) } else { 0.0 };
@@ -31,8 +31,8 @@ pub fn value_interval(kind: StateKind, p: f64, hour: HourMoments, readings: f64,
     value_interval_of(kind, p, variance * (1.0 + 1.0 / days.max(1.0)), level)
 }
 
-/// The band of a prediction p from which the mean of the hour has an expected squared distance of `variance`: p ± z·σ,
-/// as [`value_interval`].
+/// The band of a prediction p from which the mean of the hour has an expected squared distance of `variance`: p ± z·σ
+/// with the z of [`value_interval`].
 pub fn value_interval_of(kind: StateKind, p: f64, variance: f64, level: f64) -> Interval {
     let (p, deviation) = (kind.saturate(p), number(variance).sqrt().min(1e13));
     let level = if level.is_nan() { 1.0 } else { level }.clamp(0.0, 0.999_999);

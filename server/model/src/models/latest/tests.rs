@@ -1,4 +1,4 @@
-//! What `latest.rs` promises.
+//! Tests the properties of `latest.rs`.
 
 use super::*;
 use crate::Sample;

@@ -1,8 +1,8 @@
-//! The likelihood of a two-state chain seen at irregular times, and its maximum.
+//! The likelihood of a two-state chain that is observed at irregular times, and its maximum.
 //!
 //! Parameters are the sum λ = α + β and the share π = α/λ, searched in (ln λ, logit π) by Fisher scoring: steps are the
-//! gradient divided by the expected second derivatives, halved while they make nothing likelier. Invariant: nothing
-//! here is NaN.
+//! gradient divided by the expected second derivatives, halved as long as they do not increase the likelihood.
+//! Invariant: nothing here is NaN.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::StopSignal;
 
 /// Gaps whose logarithms round to the same multiple of this are merged.
 const LOG_GAP_STEP: f64 = 0.02;
-/// The prior: this many rises and as many falls …
+/// The prior: this many rises and this many falls …
 const PRIOR_CHANGES: f64 = 0.5;
 /// … in this many seconds at each of the two values.
 const PRIOR_SECS: f64 = 3600.0;
@@ -20,7 +20,8 @@ const LOG_RATES: (f64, f64) = (-25.0, 23.0);
 const LOG_RATE_STEP: f64 = 3.0;
 /// logit π is within this distance of 0.
 const LOGIT_MAX: f64 = 34.0;
-/// Fisher scoring: its steps, the longest of them, how often one is halved, and the gain that ends it.
+/// The limits of Fisher scoring: number of steps, longest step, number of halvings of a step, and the gain that ends
+/// it.
 const SCORINGS_MAX: usize = 40;
 const SCORING_STEP_MAX: f64 = 2.0;
 const SCORING_HALVINGS: usize = 12;
@@ -31,7 +32,7 @@ const SCORING_GAIN_MIN: f64 = 1e-12;
 pub(crate) struct GapCounts {
     pub(crate) weight: f64,
     pub(crate) gap_secs_sum: f64,
-    /// Weight of pairs that stayed 0, rose, fell and stayed 1.
+    /// Weights of pairs that stayed 0, rose, fell and stayed 1.
     pub(crate) low: f64,
     pub(crate) rises: f64,
     pub(crate) falls: f64,
@@ -52,7 +53,7 @@ pub(crate) struct Transitions {
 }
 
 impl Transitions {
-    /// Counts a pair of readings in `[0,1]`; a gap of 0 says nothing.
+    /// Counts a pair of readings in `[0,1]`; a gap of 0 has no information.
     pub(crate) fn add(&mut self, gap_nanos: u64, from: f64, to: f64, weight: f64) {
         if gap_nanos == 0 {
             return;
@@ -68,7 +69,7 @@ impl Transitions {
     }
 
     /// Counts a pair of readings with the probabilities that it stayed 0, rose, fell and stayed 1. Gaps of the same
-    /// octave count as one, so that the memory is constant; a gap of 0 says nothing.
+    /// octave count as one, so that the memory is constant; a gap of 0 has no information.
     pub(crate) fn add_by_octave(&mut self, gap_nanos: u64, [low, rise, fall, high]: [f64; 4]) {
         let Some(octave) = gap_nanos.checked_ilog2() else { return };
         let counts = self.by_gap.entry(octave as i32).or_default();
@@ -80,7 +81,7 @@ impl Transitions {
         counts.high += high;
     }
 
-    /// Adds the counts of others, whose gaps are merged in the same way.
+    /// Adds the counts of `other`, whose gaps are merged in the same way.
     pub(crate) fn merge(&mut self, other: &Transitions) {
         for (gap, more) in &other.by_gap {
             let counts = self.by_gap.entry(*gap).or_default();
@@ -93,7 +94,7 @@ impl Transitions {
         }
     }
 
-    /// Forgetting: lowers the weight of all pairs so far.
+    /// Lowers the weight of all pairs so far (forgetting).
     pub(crate) fn scale(&mut self, factor: f64) {
         for counts in self.by_gap.values_mut() {
             let GapCounts { weight, gap_secs_sum, low, rises, falls, high } = counts;
@@ -124,7 +125,7 @@ impl Transitions {
         best.map_or((1.0, 0.5), |(pair, _)| pair)
     }
 
-    /// (λ, π) of the highest posterior density near a pair that is about right.
+    /// (λ, π) of the highest posterior density near a pair that is approximately right.
     pub(crate) fn most_likely_near(&self, (rate, share): (f64, f64)) -> (f64, f64) {
         self.climb([libm::log(rate), libm::log(share / (1.0 - share))]).0
     }
@@ -174,7 +175,8 @@ impl Transitions {
         for counts in self.by_gap.values() {
             let gaps = rate * counts.gap_secs_sum / counts.weight;
             let (mixed, by_rate) = (-libm::expm1(-gaps), gaps * libm::exp(-gaps));
-            // From 0 to 1, then from 1 to 0: changes, stays, and the derivatives of the probability of a change.
+            // The first is from 0 to 1, the second from 1 to 0: changes, stays, and the derivatives of the probability
+            // of a change.
             let rise = (counts.rises, counts.low, share * mixed, [share * by_rate, spread * mixed]);
             let fall = (counts.falls, counts.high, other * mixed, [other * by_rate, -spread * mixed]);
             for (changes, stays, probability, [dl, ds]) in [rise, fall] {

@@ -1,4 +1,4 @@
-//! What `markov_chain.rs` promises, against a brute-force maximum and chains whose rates are known.
+//! Tests the properties of `markov_chain.rs`, against a brute-force maximum and chains whose rates are known.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -76,7 +76,7 @@ fn log_posterior(samples: &[Sample], rise: f64, fall: f64) -> f64 {
 
 #[test]
 fn known_rates_are_found_from_irregular_readings() {
-    // Gaps from far shorter than the dwell to longer than it: many changes are never seen.
+    // The gaps range from far shorter than the dwell to longer than it: many changes are never observed.
     for gaps in [60.0..120.0, 60.0..7200.0, 1800.0..14_400.0] {
         let parts = trained(&simulated(4.0 * HOUR, HOUR, gaps.clone(), 20_000, 7)).to_parts();
         let (low_secs, high_secs) = (1.0 / parts.rise_per_sec, 1.0 / parts.fall_per_sec);
@@ -112,7 +112,7 @@ fn a_state_that_never_changed_is_nearly_sure_not_to() {
         let chain = trained(&samples);
         assert!((chain.stationary() - value).abs() < 0.02, "{}", chain.stationary());
         assert!(chain.stationary() > 0.0 && chain.stationary() < 1.0);
-        // A week of no change: the next hour will most likely bring none.
+        // After a week without change, the next hour will most likely bring none.
         assert!((chain.predict(at(7 * 86_400 + 3600)) - value).abs() < 0.01);
     }
 }

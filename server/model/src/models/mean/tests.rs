@@ -1,4 +1,4 @@
-//! What `mean.rs` promises.
+//! Tests the properties of `mean.rs`.
 
 use proptest::prelude::*;
 

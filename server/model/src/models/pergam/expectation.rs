@@ -1,6 +1,6 @@
 //! Expectation-maximisation of wrapped Gaussians on a circle.
 //!
-//! The turn and the Gaussian of a phase are hidden variables: both are estimated, so that the likelihood never falls,
+//! The turn and the Gaussian of a phase are hidden variables. Both are estimated, so that the likelihood never falls,
 //! and a Gaussian may grow until it is flat. Invariant: weights add up to 1 or there are none; widths are between one
 //! phase and one turn.
 
@@ -11,27 +11,27 @@ use crate::StopSignal;
 
 const STARTS: u64 = 3;
 const STEPS_MAX: usize = 100;
-/// Nats per unit of mass.
+/// The least gain of a step that continues the training, in nats per unit of mass.
 const GAIN_MIN: f64 = 1e-6;
 /// At one turn a wrapped Gaussian is flat to 6e-9.
 const DEVIATION_MAX: f64 = 1.0;
 
-/// A Gaussian wrapped around the circle; in turns.
+/// A Gaussian wrapped around the circle; its numbers are in turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WrappedGaussian {
     pub(super) weight: f64,
-    /// From 0 to 1.
+    /// The mean, from 0 to 1.
     pub(super) mean: f64,
     pub(super) deviation: f64,
 }
 
 impl WrappedGaussian {
-    /// Turns to either side beyond which images are more than four deviations away.
+    /// Number of turns to either side beyond which images are more than four deviations away.
     fn images(&self) -> i32 {
         if self.deviation < 0.06 { 0 } else { (4.0 * self.deviation + 0.5).ceil() as i32 }
     }
 
-    /// The shortest way to a phase, from -0.5 to 0.5.
+    /// The shortest signed distance to a phase, from -0.5 to 0.5.
     fn distance(&self, turn: f64) -> f64 {
         let distance = turn - self.mean;
         distance - distance.round()
@@ -57,8 +57,8 @@ impl WrappedGaussian {
     }
 }
 
-/// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative. Empty
-/// without mass. Ends early if told to stop; the result must then not be used.
+/// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative. The
+/// mixture is empty without mass. Training ends early if it is stopped; the result must then not be used.
 pub(super) fn train_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: StopSignal<'_>) -> Vec<WrappedGaussian> {
     let mass: f64 = shares.iter().sum();
     let distinct = shares.iter().filter(|&&share| share > 0.0).count();
@@ -121,7 +121,7 @@ fn maximise(shares: &[f64], means: &[f64], stop: StopSignal<'_>) -> (f64, Vec<Wr
     (likelihood, mixture)
 }
 
-/// One step of both kinds; the likelihood is that of the mixture before it.
+/// One step for both hidden variables; the likelihood is that of the mixture before it.
 fn step(shares: &[f64], mixture: &mut Vec<WrappedGaussian>) -> f64 {
     let mut moments = vec![[0.0_f64; 3]; mixture.len()];
     let mut here = vec![[0.0_f64; 3]; mixture.len()];
@@ -132,7 +132,7 @@ fn step(shares: &[f64], mixture: &mut Vec<WrappedGaussian>) -> f64 {
         for (gaussian, here) in mixture.iter().zip(&mut here) {
             *here = [0.0; 3];
             gaussian.for_images(turn, |distance, image| {
-                // Above 0 at any distance, so that every phase belongs to a Gaussian.
+                // The part is above 0 at any distance, so that every phase belongs to a Gaussian.
                 let part = gaussian.weight * image.max(1e-200);
                 here[0] += part;
                 here[1] += part * distance;

@@ -5,7 +5,7 @@
 use crate::civil::NANOS_PER_SEC;
 use crate::models::Readings;
 
-/// Phases that a period is divided into: minutes, for a day.
+/// Number of phases of a period: minutes, for a day.
 pub(super) const PHASES: usize = 1_440;
 
 /// The phase of a local civil time, in turns from 0 to 1; reduced in integers, rounded once.
@@ -20,7 +20,7 @@ pub(super) struct PhaseMeans {
 }
 
 impl PhaseMeans {
-    /// Folds at least one reading.
+    /// Folds the readings, of which there must be at least one.
     pub(super) fn new(readings: Readings<'_>, period_nanos: i64) -> PhaseMeans {
         let mut sums = vec![(0.0_f64, 0.0_f64); PHASES];
         for (sample, weight) in readings.samples.iter().zip(readings.weights()) {
@@ -38,13 +38,13 @@ impl PhaseMeans {
         self.means.iter().sum::<f64>() / PHASES as f64
     }
 
-    /// The mean value of each phase, which the mixture takes as shares of its mass.
+    /// The mean value of each phase, which the mixture uses as shares of its mass.
     pub(super) fn shares(&self) -> &[f64] {
         &self.means
     }
 }
 
-/// Means where there is weight; elsewhere interpolated between the nearest ones, around the circle.
+/// Means where there is weight; elsewhere the interpolation between the nearest means, around the circle.
 fn interpolated(sums: &[(f64, f64)]) -> Vec<f64> {
     let mean = |phase: usize| sums[phase].0 / sums[phase].1;
     let known: Vec<usize> = (0..sums.len()).filter(|&phase| sums[phase].1 > 0.0).collect();

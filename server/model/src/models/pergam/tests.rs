@@ -1,4 +1,4 @@
-//! Periodic Gaussian mixtures: the peaks they find, and their robustness against any readings.
+//! Tests periodic Gaussian mixtures: the peaks that they find, and their robustness against any readings.
 
 use proptest::prelude::*;
 

@@ -15,10 +15,10 @@ pub struct CountRate {
     readings_per_bin: f64,
 }
 
-/// What a [`CountRate`] consists of, for storage.
+/// The parts of a [`CountRate`], for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CountRateParts {
-    /// The periodicities that it was trained with: those of the map.
+    /// The periodicities that the model was trained with: those of the map.
     pub periodicities: Periodicities,
     /// The model of the bins.
     pub bins: PoissonSpectralParts,
@@ -30,15 +30,15 @@ impl CountRate {
     /// Trains on the counts of single readings.
     ///
     /// # Errors
-    /// [`CannotTrain`] as [`PoissonSpectral::train`].
+    /// [`CannotTrain`] in the cases of [`PoissonSpectral::train`].
     pub fn train(readings: Readings<'_>, periodicities: &Periodicities) -> Result<CountRate, CannotTrain> {
         CountRate::train_in_bins(readings, periodicities, COUNT_BIN_NANOS)
     }
 
-    /// Trains on counts of single readings as [`CountRate::train`], with bins of the given length in nanoseconds.
+    /// Does the same as [`CountRate::train`], with bins of the given length in nanoseconds.
     ///
     /// # Errors
-    /// As [`CountRate::train`].
+    /// The errors of [`CountRate::train`].
     pub fn train_in_bins(
         readings: Readings<'_>,
         periodicities: &Periodicities,

@@ -1,7 +1,7 @@
 //! The spectrum of weighted counts: γ_k = Σ w (c - μ) e^(-jω_k t) / Σ w.
 //!
-//! As in the accumulator, but with weights and values above 1. Invariant: components are finite, strongest first, with
-//! periods within the observed span.
+//! The sums are those of the accumulator, but with weights and values above 1. Invariant: components are finite,
+//! strongest first, with periods within the observed span.
 
 use crate::{Component, ORDER_MAX, Periodicities, PhasorTable, StopSignal};
 
@@ -11,11 +11,11 @@ pub(super) struct Bin {
     /// The middle of the bin in local civil time, nanoseconds since 1970 local.
     pub(super) centre_nanos: i64,
     pub(super) count: f64,
-    /// The weight of the bin, in `(0,1]`: that of its last reading.
+    /// The weight of the bin, in `(0,1]`: the weight of its last reading.
     pub(super) weight: f64,
 }
 
-/// Bins that share one table of phasors.
+/// Number of bins that share one table of phasors.
 const CHUNK: usize = 512;
 
 /// γ_k for every periodicity.
@@ -24,11 +24,12 @@ pub(super) struct Spectrum {
 }
 
 impl Spectrum {
-    /// The spectrum of observed bins, ascending; empty where there are none, of a part of them if told to stop.
+    /// The spectrum of observed bins, ascending. It is empty without bins, and it is that of a part of them if the
+    /// training is stopped.
     pub(super) fn of(bins: &[Bin], periodicities: &Periodicities, stop: StopSignal<'_>) -> Spectrum {
         let (Some(first), Some(last)) = (bins.first(), bins.last()) else { return Spectrum { gammas: Vec::new() } };
         let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
-        // Shares of the whole: sums of huge counts stay in range.
+        // The weights are shares of the whole, so that sums of huge counts stay in range.
         let mean: f64 = bins.iter().map(|bin| bin.count * (bin.weight / weight)).sum();
         let mut gammas: Vec<Component> = (0..periodicities.len() as u32)
             .map(|periodicity| Component { periodicity, gamma_re: 0.0, gamma_im: 0.0 })
@@ -51,7 +52,7 @@ impl Spectrum {
         Spectrum { gammas }
     }
 
-    /// The [`ORDER_MAX`] strongest, ties: the lower index first.
+    /// The [`ORDER_MAX`] strongest components; of equal components the lower index comes first.
     pub(super) fn strongest(mut self) -> Vec<Component> {
         self.gammas.retain(|gamma| gamma.amplitude() > 0.0);
         self.gammas.sort_by(|a, b| b.amplitude().total_cmp(&a.amplitude()));

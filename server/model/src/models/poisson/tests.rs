@@ -1,4 +1,4 @@
-//! What `poisson.rs` promises.
+//! Tests the properties of `poisson.rs`.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -75,7 +75,7 @@ fn the_rate_never_falls_to_0_at_night() {
 
 #[test]
 fn readings_of_a_bin_add_up_and_unobserved_bins_are_not_0() {
-    // Two readings of 1 in the first bin of each hour, none in the other five.
+    // There are two readings of 1 in the first bin of each hour, and none in the other five.
     let samples: Vec<Sample> =
         (0..48).map(|half| sample(half / 2 * 3600 * 1_000_000_000 + half % 2 * 1_000_000_000, 1.0)).collect();
     assert!((trained(&samples).predict(at(0)) - 48.5 / 25.0).abs() < 1e-12);

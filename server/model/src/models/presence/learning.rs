@@ -6,7 +6,7 @@ use super::{Presence, condition, normalise};
 use crate::special::square;
 
 impl Presence {
-    /// The probabilities in each kept slot, by the observations up to that slot.
+    /// The probabilities in each kept slot, from the observations up to that slot.
     pub(super) fn filtered(&self) -> Vec<Vec<f64>> {
         let mut beliefs: Vec<Vec<f64>> = Vec::with_capacity(self.history.len());
         for slot in &self.history {
@@ -22,8 +22,8 @@ impl Presence {
         beliefs
     }
 
-    /// One step: the expected number of changes at each time of day by the present rates, then the rates by those
-    /// numbers.
+    /// Makes one step: computes the expected number of changes at each time of day with the present rates, then the
+    /// rates from those numbers.
     pub(super) fn improve(&mut self) {
         let counts = self.expected_changes();
         let (places, slots) = (self.options.places, self.options.slots_per_day);
@@ -34,7 +34,7 @@ impl Presence {
         for of_slot in counts.chunks(size) {
             add(&mut all, of_slot, 1.0);
         }
-        // Prior of a place without data: staying is as likely as leaving; the destination follows the usual places.
+        // The prior of a place without data: staying is as likely as leaving; the destination follows the usual places.
         let mut usual: Vec<f64> =
             (0..places).map(|to| 1.0 + all.iter().skip(to).step_by(places).sum::<f64>()).collect();
         normalise(&mut usual);
@@ -60,7 +60,7 @@ impl Presence {
         }
     }
 
-    /// By slot of the day, then by place before and place after: the expected number of such changes, staying included
+    /// The expected number of changes by slot of the day, then by place before and place after, staying included
     /// (forward-backward algorithm).
     pub(super) fn expected_changes(&self) -> Vec<f64> {
         let places = self.options.places;

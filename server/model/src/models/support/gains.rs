@@ -1,8 +1,8 @@
 //! Whether the chosen order has made predictions better day after day.
 //!
-//! Days are blocks: within one, errors depend on each other. The recorded errors are of predictions made before the day
-//! was learned, with the order that was best until then, so this is validation of the choice on held-out data (T-RO
-//! section IV.B). Invariant: sums are finite.
+//! The unit is the day, because errors within a day depend on each other. The recorded errors are of predictions made
+//! before the day was learned, with the order that was best until then, so this is validation of the choice on held-out
+//! data (T-RO section IV.B). Invariant: sums are finite.
 
 use crate::{InvalidParts, ORDER_MAX, Periodicities};
 
@@ -12,8 +12,8 @@ const STANDARD_ERRORS: f64 = 2.5;
 const DAYS_MIN: f64 = 7.0;
 /// The upper limit of mean squared errors.
 const ERROR_MAX: f64 = 1e100;
-/// Gains a day ahead are evidence only if no candidate period is longer. Slow components follow the last days of a
-/// state that keeps its value for weeks, and thus predict the next day well without any rhythm.
+/// Gains at a lead time of one day are evidence only if no candidate period is longer than this. Slow components follow
+/// the last days of a state that keeps its value for weeks, and thus predict the next day well without any rhythm.
 const PERIOD_MAX_SECS: f64 = 8.0 * 86_400.0;
 
 /// Daily gains of the order that was best until then over order 0.
@@ -22,14 +22,14 @@ pub struct OrderGains {
     parts: OrderGainsParts,
 }
 
-/// What [`OrderGains`] consist of, for storage.
+/// The parts of [`OrderGains`], for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderGainsParts {
     /// Days recorded; fractional with forgetting.
     pub days: f64,
     /// The sum over days of the mean squared error of order 0 minus that of the order that was best until then.
     pub sum: f64,
-    /// The sum of the squares of these.
+    /// The sum of the squares of these differences.
     pub squares: f64,
 }
 
@@ -39,7 +39,7 @@ impl OrderGains {
         (0..periodicities.len()).all(|k| periodicities.period_secs(k) <= PERIOD_MAX_SECS)
     }
 
-    /// Adds a day: the summed squared errors of each order over its `scored` observations, as in
+    /// Adds a day: the summed squared errors of each order over its `scored` observations, from
     /// [`UpdateOutcome`](crate::UpdateOutcome), and the order that was best before the day. A day of order 0, without
     /// observations, or with an error that is NaN, changes nothing.
     pub fn record(&mut self, order: usize, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
@@ -65,7 +65,7 @@ impl OrderGains {
         mean > STANDARD_ERRORS * (variance / days).sqrt()
     }
 
-    /// Forgetting: multiplies the weight of the days so far by `factor`, 0 to 1.
+    /// Multiplies the weight of the days so far by `factor`, 0 to 1 (forgetting).
     pub(crate) fn fade(&mut self, factor: f64) {
         let OrderGainsParts { days, sum, squares } = &mut self.parts;
         [days, sum, squares].into_iter().for_each(|part| *part *= factor);

@@ -1,4 +1,4 @@
-//! What `support.rs` promises, over many seeds: noise supports nothing, a routine is found.
+//! Tests the properties of `support.rs`, over many seeds: noise supports nothing, a routine is found.
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -133,7 +133,8 @@ fn the_effective_number_is_known_for_chains() {
         let found = effective(dwell, step);
         assert!((found / expected - 1.0).abs() < 0.1, "dwell {dwell}, step {step}: {found}, expected {expected}");
     }
-    // At random times, an hour apart on average, of a value that forgets in an hour: half is kept from one to the next.
+    // Readings at random times, an hour apart on average, of a value that forgets in an hour: half is kept from one to
+    // the next.
     let mut random = SmallRng::seed_from_u64(9);
     let mut minutes: Vec<i64> =
         (0..8 * FOUR_WEEKS_MINUTES / 60).map(|_| random.random_range(0..8 * FOUR_WEEKS_MINUTES)).collect();
@@ -170,11 +171,11 @@ fn nothing_is_known_from_nothing() {
 
 #[test]
 fn a_rhythms_own_slowness_is_no_evidence_against_it() {
-    // Open for twelve hours a day without exception: two changes a day are all that there is.
+    // The door is open for twelve hours a day without exception, so there are only two changes a day.
     let found = |days: i64| judged(&observed((0..days * 1440).step_by(10), |minute| minute % 1440 < 720));
     let Judged { supported, effective, .. } = found(14);
     assert!(supported >= 1, "{effective:.1}");
-    // A day is too little.
+    // One day is too little.
     assert_eq!(found(1).supported, 0);
 }
 
@@ -247,7 +248,7 @@ proptest! {
         let week = Periodicities::default();
         let mut least = 0;
         for factor in [1, 10, 100, 10_000] {
-            // More readings like these, over a longer time.
+            // The data has more readings of this kind, over a longer time.
             let pairs = (pairs % 1_000_000).saturating_mul(factor);
             let rate = (change_rate_sum % 1e9) * factor as f64;
             let span_secs = (span_secs % 1e9) * factor as f64;

@@ -1,4 +1,4 @@
-//! Gaps between ascending steps as bytes: seven bits each, the lowest first, the top bit set where more follow.
+//! Gaps between ascending steps as bytes: seven bits each, the lowest first; the top bit is set if more bytes follow.
 //!
 //! Invariant: `decode` reads what `push` wrote and refuses everything else.
 
@@ -15,7 +15,7 @@ pub(super) fn push(bytes: &mut Vec<u8>, mut gap: u32) {
     bytes.push(gap as u8);
 }
 
-/// The steps that the gaps lead to from 0: ascending, below `steps`, each once.
+/// The steps at the ends of the gaps, counted from 0: ascending, below `steps`, each once.
 pub(super) fn decode(bytes: &[u8], steps: u32) -> Result<Vec<u32>, InvalidParts> {
     let (mut found, mut step, mut gap, mut shift) = (Vec::new(), 0_u64, 0_u64, 0);
     for &byte in bytes {

@@ -1,7 +1,7 @@
-//! Whether readings are regular, and how far apart.
+//! Whether readings are regular, and the interval between them.
 //!
-//! The interval is the mean of the differences of their times, which a single wrong nanosecond does not shift; it is
-//! valid if every reading lies within 1 % of it off its regular time. Otherwise the error names the median of the
+//! The interval is the mean of the differences of their times, which a single wrong nanosecond does not shift. It is
+//! valid if every reading lies within 1 % of it from its regular time. Otherwise the error names the median of the
 //! differences, which gaps do not shift, and the first reading that is too late or too early. Invariant: the interval
 //! is above 0, and no reading is missing.
 
@@ -25,7 +25,7 @@ pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotTrain> 
     };
     let span_nanos = i128::from(last.utc_nanos) - i128::from(first.utc_nanos);
     let gaps = found as i128 - 1;
-    // Rounded, because an error of one nanosecond would add up over a million steps.
+    // The interval is rounded, because an error of one nanosecond would add up over a million steps.
     let interval_nanos = i64::try_from((2 * span_nanos + gaps).div_euclid(2 * gaps)).unwrap_or(i64::MAX);
     let is_off = |(step, sample): (u32, &Sample)| off_time(sample, first.utc_nanos, interval_nanos, step);
     match (0..).zip(samples).position(is_off) {
@@ -41,8 +41,8 @@ pub(super) fn off_time(sample: &Sample, first_nanos: i64, interval_nanos: i64, s
     off_nanos as f64 > JITTER * interval_nanos as f64
 }
 
-/// The error for samples that are not regular: names the first that does not come one usual interval after the one
-/// before, or else the one that has drifted off its time.
+/// The error for samples that are not regular. It names the first sample that does not come one usual interval after
+/// the one before, or else the sample that has drifted off its time.
 fn irregular(samples: &[Sample], drifted: usize) -> CannotTrain {
     let secs = |i: usize| match (samples.get(i), i.checked_sub(1).and_then(|before| samples.get(before))) {
         (Some(sample), Some(before)) => (i128::from(sample.utc_nanos) - i128::from(before.utc_nanos)) as f64 / 1e9,

@@ -1,4 +1,4 @@
-//! What `uniform.rs` promises: states come back exactly, and the spectrum is that of the incremental model.
+//! Tests the properties of `uniform.rs`: states come back exactly, and the spectrum is that of the incremental model.
 
 use proptest::prelude::*;
 
@@ -102,7 +102,7 @@ fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_fr
         train_error(&twice),
         CannotTrain::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 }
     );
-    // Each a little later than the one before: no single jump, but a drift.
+    // Each reading is a little later than the one before: no single jump, but a drift.
     let mut drifting = samples[..1000].to_vec();
     for (i, sample) in (0..).zip(&mut drifting) {
         sample.utc_nanos += i * i * 100_000;
@@ -165,7 +165,7 @@ fn irregular_samples_are_refused() {
     }
     assert!(UniformSpectral::train(Readings::new(&samples), ORDER_MAX + 1).is_err());
     assert!(trained(&samples, 2).with_order(ORDER_MAX + 1).is_err());
-    // Appended readings must be the next ones.
+    // An appended reading must be the next one.
     let mut model = trained(&samples[..100], 2);
     let before = model.clone();
     assert!(model.append(&samples[101]).is_err());
@@ -204,7 +204,7 @@ fn damaged_parts_are_refused() {
     assert!(damaged(&|parts| parts.components = vec![parts.components[0]; 16]));
     assert!(damaged(&|parts| parts.components[0].periodicity = 0));
     assert!(damaged(&|parts| parts.components[0].gamma_re = 2.0));
-    // An outlier twice, one beyond the end, one cut short and one that never ends.
+    // The gaps are an outlier twice, one beyond the end, one cut short and one that never ends.
     for gap in [vec![0], vec![0x80, 0x7f], vec![0x81], vec![0xff; 6]] {
         assert!(damaged(&|parts| parts.outlier_gaps.extend(&gap)), "{gap:?}");
     }

@@ -1,4 +1,4 @@
-//! Models by their names: read, written and refused.
+//! Tests models by their names: names that are read, written and refused.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! What `cell.rs` promises, against the model trained on the same observations.
+//! Tests the properties of `cell.rs`, against the model trained on the same observations.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::{Accumulator, ORDER_MAX, PhasorTable, RunningSums, Sample};
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// The sums A and B of runs, as a grid makes them.
+/// The sums A and B of runs, computed in the way of a grid.
 fn sums_of_runs(periodicities: &Periodicities, observed: &[(i64, bool)]) -> (PhasorSum, PhasorSum) {
     let times: Vec<i64> = observed.iter().map(|(civil, _)| *civil).collect();
     let mut running = RunningSums::new(periodicities);
@@ -68,7 +68,7 @@ proptest! {
         );
         prop_assert_eq!(found.observations(), expected.observations());
         prop_assert!((found.mean() - expected.mean()).abs() < 1e-9);
-        // Rounding may swap equally strong ones and leave traces of components that are zero.
+        // Rounding may swap equally strong components and leave traces of components that are zero.
         let strength = |model: &SpectralModel, rank: usize| model.components().get(rank).map_or(0.0, Component::amplitude);
         for rank in 0..ORDER_MAX {
             prop_assert!((strength(&found, rank) - strength(&expected, rank)).abs() < 1e-9, "rank {rank}");

@@ -1,4 +1,4 @@
-//! What `instant.rs` promises.
+//! Tests the properties of `instant.rs`.
 
 use proptest::prelude::*;
 

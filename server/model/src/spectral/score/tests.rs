@@ -1,11 +1,11 @@
-//! What `score.rs` promises, against one prediction at a time.
+//! Tests the properties of `score.rs`, against one prediction at a time.
 
 use proptest::prelude::*;
 
 use super::*;
 use crate::{Component, Periodicities};
 
-/// Errors as their definition says, of the times that count.
+/// Errors by their definition, at the times that count.
 fn oracle(model: &SpectralModel, table: &PhasorTable, values: &[f64], weights: Option<&[f64]>) -> ScoreSums {
     let mut sums = ScoreSums::default();
     for (i, (&civil, &value)) in table.civil_nanos().iter().zip(values).enumerate() {
@@ -30,7 +30,7 @@ fn check_same(found: &ScoreSums, expected: &ScoreSums) {
     }
 }
 
-/// The readings of which the weight is not 0.
+/// The readings whose weight is not 0.
 fn readings(values: &[f64], weights: Option<&[f64]>) -> ReadingSums {
     let mut readings = ReadingSums::default();
     for (i, &value) in values.iter().enumerate().take(weights.map_or(usize::MAX, <[f64]>::len)) {
@@ -157,7 +157,7 @@ proptest! {
         let values: Vec<f64> = observed.iter().map(|row| row.1).collect();
         let weights: Vec<f64> = observed.iter().map(|row| f64::from(u8::from(row.2))).collect();
         let weights = weighted.then_some(&weights[..]);
-        // A table that holds all there are, and one that does not hold what the model needs.
+        // One table holds all periodicities, and one does not hold those that the model needs.
         for table in [PhasorTable::new(&week, &times), PhasorTable::only(&week, &times, &chosen)] {
             let mut sums = ScoreSums::default();
             model.score_readings(&table, &readings(&values, weights), &mut sums, true);

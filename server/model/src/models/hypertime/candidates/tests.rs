@@ -1,4 +1,4 @@
-//! Which periods are candidates, and times as points on circles.
+//! Tests which periods are candidates, and times as points on circles.
 
 use super::*;
 

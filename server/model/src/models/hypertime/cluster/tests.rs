@@ -1,4 +1,4 @@
-//! One cluster, against densities computed from the covariance itself.
+//! Tests one cluster, against densities computed from the covariance itself.
 
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
@@ -43,7 +43,7 @@ proptest! {
         let expected_given = log_gaussian(&difference.rows(0, given).into_owned(), &leading);
         prop_assert!((log_given - expected_given).abs() < 1e-6 * expected_given.abs().max(1.0));
 
-        // The conditional density times that of the given is the joint density.
+        // The conditional density times the density of the given coordinates is the joint density.
         let conditional = cluster.given(&point[..given], &[]);
         let rest = Cluster::new(HypertimeCluster {
             weight: 1.0,

@@ -1,4 +1,4 @@
-//! Values over place and time: distributions, and refused input.
+//! Tests values over place and time: distributions, and refused input.
 
 use super::*;
 use crate::civil::NANOS_PER_SEC;
@@ -20,7 +20,7 @@ fn jitter(index: i64) -> f64 {
     ((mixed ^ (mixed >> 32)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// People around (2, 0) by day and around (-3, 1) by night, one seen every hour for 20 days.
+/// People around (2, 0) by day and around (-3, 1) by night; one is detected every hour for 20 days.
 fn people() -> Vec<FieldReading> {
     let place = |h: i64| if (6..18).contains(&(h % 24)) { [2.0, 0.0] } else { [-3.0, 1.0] };
     (0..480)
@@ -53,7 +53,7 @@ fn events_are_where_they_are_at_that_time_of_day() {
 
 #[test]
 fn a_value_depends_on_place_and_time() {
-    // A path where it is slow in the morning at the one end, and always fast at the other.
+    // The robot is slow in the morning at the one end of a path, and always fast at the other.
     let readings: Vec<FieldReading> = (0..960)
         .map(|half_hour| {
             let place = jitter(half_hour * 3);

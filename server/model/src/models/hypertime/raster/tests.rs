@@ -1,4 +1,4 @@
-//! Cells of space, against the density summed up over much finer ones.
+//! Tests cells of space, against the density summed up over much finer cells.
 
 use proptest::prelude::*;
 
@@ -69,13 +69,13 @@ proptest! {
 
 #[test]
 fn a_cluster_far_narrower_than_a_cell_lies_in_its_cell() {
-    // At (1, 1) standardised to 0, in a cell from 0.9 to 1.9; then on the edge between four.
+    // The cluster is at (1, 1), standardised to 0, in a cell from 0.9 to 1.9; then on the edge between four cells.
     let found = distribution(2, vec![cluster(1.0, &[0.0, 0.0], &[1e-3, 0.0, 1e-3])]);
     let cells = found.cells(&[-0.1, -0.1], 1.0, &[3, 3]).unwrap();
     assert!((cells[4] - 1.0).abs() < 1e-12, "{cells:?}");
     let cells = found.cells(&[0.0, 0.0], 1.0, &[2, 2]).unwrap();
     assert!(cells.iter().all(|cell| (cell - 0.25).abs() < 1e-9), "{cells:?}");
-    // All of it outside.
+    // The whole mass is outside.
     assert_eq!(found.cells(&[5.0, 5.0], 1.0, &[2, 2]), Some(vec![0.0; 4]));
 }
 

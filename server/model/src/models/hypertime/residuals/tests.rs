@@ -1,4 +1,4 @@
-//! The search for periods, against the formula.
+//! Tests the search for periods, against the formula.
 
 use super::*;
 use crate::civil::NANOS_PER_SEC;

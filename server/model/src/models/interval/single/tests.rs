@@ -1,4 +1,4 @@
-//! Tails against sums and quantiles that are known.
+//! Tests tails against known sums and quantiles.
 
 use proptest::prelude::*;
 
@@ -38,7 +38,7 @@ fn counts_of_poisson_variance_have_poisson_tails() {
 #[test]
 fn dispersed_counts_have_the_mean_and_variance_that_were_asked_for() {
     for (mean, dispersion) in [(0.3, 2.0), (4.0, 1.5), (50.0, 20.0)] {
-        // From P(X >= k): the mean is their sum from 1 on, and E[X²] that of (2k - 1) P(X >= k).
+        // The moments from P(X >= k): the mean is the sum of P(X >= k) from 1 on, and E[X²] that of (2k - 1) P(X >= k).
         let (mut first, mut second) = (0.0, 0.0);
         let mut above = 0.0;
         let mut k = 20_000.0;

@@ -1,5 +1,5 @@
-//! Intervals on the office door of RA-L 2019: the choice of the priors, and the intervals on held-out weeks. Skipped
-//! without the recordings.
+//! Tests intervals on the office door of RA-L 2019: the choice of the priors, and the intervals on held-out weeks. They
+//! are skipped without the recordings.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn read(folder: &Path, name: &str) -> Vec<Sample> {
         .collect()
 }
 
-/// The mean of each civil hour that was seen, by hours since 1970 local.
+/// The mean of each observed civil hour, by hours since 1970 local.
 fn hourly_means(samples: &[Sample]) -> BTreeMap<i64, f64> {
     let mut hours: BTreeMap<i64, (f64, f64)> = BTreeMap::new();
     for sample in samples {
@@ -47,7 +47,7 @@ fn hour_of_week(hour: i64) -> usize {
     (hour + 72).rem_euclid(168) as usize
 }
 
-/// The hour of the day, of weekdays from 0 and of the weekend from 24.
+/// The index of the hour of the day: weekdays from 0, the weekend from 24.
 fn cell(hour: i64) -> usize {
     let of_week = hour_of_week(hour);
     of_week % 24 + if of_week >= 120 { 24 } else { 0 }
@@ -89,7 +89,7 @@ impl Learnt {
     }
 }
 
-/// How often an interval held the mean of its hour, and how wide intervals were.
+/// The frequency with which an interval held the mean of its hour, and the width of intervals.
 #[derive(Clone, Copy, Debug, Default)]
 struct Held {
     hours: f64,
@@ -109,7 +109,7 @@ impl Held {
     }
 }
 
-/// By hour of the week: where the state varies, and elsewhere; then the same by hour of the day.
+/// The scores by hour of the week, where the state varies and elsewhere; then by hour of the day, in the same order.
 type DoorScore = [Held; 4];
 
 fn varies(mean: f64) -> bool {
@@ -118,7 +118,7 @@ fn varies(mean: f64) -> bool {
 
 fn score(learnt: &Learnt, test: &[Sample], borrowed: IntervalPrior, scores: &mut DoorScore) {
     for (hour, mean) in hourly_means(test) {
-        // The civil time of the middle of the hour, as if it were UTC: a profile of the week needs no more.
+        // The civil time of the middle of the hour, as if it were UTC: this is enough for a profile of the week.
         let p = learnt.model.predict(Moment { utc_nanos: hour * HOUR_NANOS + HOUR_NANOS / 2, offset_secs: 0 });
         let found = interval(p, learnt.cells[cell(hour)], learnt.all, 0.9, borrowed);
         scores[usize::from(!varies(learnt.week[hour_of_week(hour)]))].add(found, mean);
@@ -152,8 +152,8 @@ fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
             }
         }
     }
-    // The prior of one day is fixed for states with few days. Of the other settings, those whose intervals hold 90 %
-    // within 1 % where the state varies, and of these the narrowest.
+    // The prior of one day is fixed for states with few days. Of the other settings, the test chooses those whose
+    // intervals hold 90 % within 1 % where the state varies, and of these the narrowest.
     let (chosen, _) = tried
         .iter()
         .filter(|(borrowed, scores)| {
@@ -178,7 +178,7 @@ fn shares(learnt: &Learnt, test: &[Sample], level: f64, found: &mut [(f64, f64);
     }
 }
 
-/// Trained on the first weeks, three or more, tested on up to four weeks after.
+/// Sets of training on the first weeks, three or more, and tests on up to four weeks after.
 fn folds(train: &[Sample]) -> Vec<(Learnt, Vec<Sample>)> {
     let week_of = |sample: &Sample| (sample.local_day().0 - train[0].local_day().0) / 7;
     let fold = |origin| {
