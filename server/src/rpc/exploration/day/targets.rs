@@ -59,7 +59,8 @@ impl Day<'_> {
         }
     }
 
-    /// The expected information of locations. `rows` has their states one after the other.
+    /// The expected information of locations. `rows` has the probabilities of their states, in the order of the
+    /// locations.
     async fn location_gains(&self, locations: Locations, rows: &[Vec<f64>]) -> Result<(Vec<String>, Gains), RpcError> {
         let counts: Vec<usize> = locations.members.iter().map(Vec::len).collect();
         let asked = (locations.members.into_iter().flatten().collect(), self.middles.as_slice());
@@ -134,8 +135,8 @@ fn never_possible(tours: &[Tour]) -> Option<NoTour> {
     tours.first().filter(|_| tours.iter().all(is_impossible))?.no_tour
 }
 
-/// The expected information of each location in each slot. `rows` has the information of their states, one after the
-/// other.
+/// The expected information of each location in each slot. `rows` has the information of the states of the locations,
+/// in the order of the locations.
 fn gains(rows: &[Vec<f64>], counts: &[usize], slots: usize) -> Result<Gains, DayError> {
     let mut begin = 0;
     let of_location: Vec<&[Vec<f64>]> = counts

@@ -45,7 +45,7 @@ async fn opening_and_writer() -> (Member, Vec<UnopenedMap>, Member) {
 }
 
 impl Member {
-    /// What a prediction of the door says that it shows.
+    /// The token that the reply of a prediction of the door contains.
     async fn predict(&self, allows_stale: bool, at_least: Option<ReadToken>) -> Result<ReadToken, Status> {
         let mut request = tonic::Request::new(v1::PredictStatesRequest {
             map: "office".to_owned(),
