@@ -14,12 +14,12 @@ use crate::{
 pub(super) enum Acknowledgements<'a> {
     /// To the client of a stream.
     Stream(&'a Replies),
-    /// Into the reply of a request: what was refused.
+    /// Into the reply of a request: the refused observations.
     Request(Vec<RefusedObservation>),
 }
 
 impl Acknowledgements<'_> {
-    /// Adds one: all up to `durable` is durable, after `before`, at a position in the log.
+    /// Adds an acknowledgement: all numbers after `before` up to `durable` are durable, at a log position.
     ///
     /// # Errors
     /// The client is gone, or does not read.
@@ -40,7 +40,7 @@ impl Acknowledgements<'_> {
         Ok(())
     }
 
-    /// What was refused of a request.
+    /// Takes the refused observations of a request.
     pub(super) fn take_refused(&mut self) -> Vec<RefusedObservation> {
         match self {
             Self::Stream(_) => Vec::new(),
