@@ -1,4 +1,4 @@
-//! `PeerService`: this daemon gives its maps to other daemons of its cluster, and takes theirs.
+//! `PeerService`: this daemon sends its maps to other daemons of its cluster, and fetches theirs.
 //!
 //! Invariant: only a daemon that has the secret of the cluster gets an answer, and the secret goes over a network with
 //! TLS only, unless an operator has allowed that. Only a part of a copy is in memory at a time, whatever its size.

@@ -84,7 +84,7 @@ pub(super) struct Permit {
     load: Arc<Load>,
     held: Option<HeldPermit>,
     since: Instant,
-    /// How long it was held before.
+    /// The time for which the permit was held before.
     computed: Duration,
 }
 

@@ -206,7 +206,7 @@ impl Members {
 #[derive(Debug, Default)]
 struct Tally {
     answered: AtomicU64,
-    /// The number of answers of members that were behind the token when they were asked.
+    /// The number of answers of members that were behind the token when they received the request.
     behind: AtomicU64,
     refused: AtomicU64,
 }

@@ -19,7 +19,7 @@ struct Robot {
 }
 
 impl Robot {
-    /// Opens a stream, and waits for its head before it says hello.
+    /// Opens a stream, and waits for its head before the robot sends its hello.
     async fn connect(member: &Member) -> Self {
         let (requests, outgoing) = mpsc::channel(64);
         let mut client = ObservationServiceClient::new(member.channel().await);
