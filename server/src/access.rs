@@ -17,7 +17,7 @@ use tidemap_map::name::ProducerKey;
 
 use self::token_file::Token;
 
-/// What a token allows. An operator may do what observers and planners may, and an admin everything.
+/// The permissions of a token. An operator may do what observers and planners may, and an admin everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub(crate) enum Role {
     /// Sends observations, traversals and visits.

@@ -173,7 +173,7 @@ mod tests {
         assert!(served.len() > 40, "{served:?}");
     }
 
-    /// Methods whose requests name no map, and which show or change only what belongs to the token's maps.
+    /// Methods whose requests name no map, and which show or change only the data of the token's maps.
     const LIMITED_TO_MAPS: [&str; 9] = [
         "ListMaps",
         "Observe",        // its Hello names the map

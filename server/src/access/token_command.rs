@@ -112,7 +112,7 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
     Ok(ExitCode::SUCCESS)
 }
 
-/// When a token ends, in seconds since 1970.
+/// Parses the end of a token, in seconds since 1970.
 fn expiry_secs(when: &str, now: i64) -> anyhow::Result<i64> {
     let expires = match parse_duration(when) {
         Ok(duration) => now.saturating_add(duration),

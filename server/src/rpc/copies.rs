@@ -116,7 +116,7 @@ fn give(catalog: &Catalog, id: MapId, parts: &PartSender, _permit: OwnedSemaphor
     let _ = send(Ok(end_to_wire(files, bytes)));
 }
 
-/// Why a daemon has not sent a copy.
+/// The reason why a daemon has not sent a copy.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FetchError {
     #[error(transparent)]

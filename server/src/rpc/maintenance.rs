@@ -46,13 +46,13 @@ pub(crate) struct Maintenance {
     pub catalog: Arc<Catalog>,
     /// The folder below which requests may make backups; empty: none is set.
     pub backup_dir: PathBuf,
-    /// Where the daemon serves its page.
+    /// The address at which the daemon serves its page.
     pub page: PageAddress,
     /// The bounded resources that clients share.
     pub shares: Shares,
 }
 
-/// Where the daemon serves its page.
+/// The address at which the daemon serves its page.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PageAddress {
     pub address: SocketAddr,

@@ -1,4 +1,4 @@
-//! Trains models on the readings of a state or a cell, for the requests that ask for them.
+//! Trains models on the readings of a state or a cell, for the requests that need them.
 //!
 //! A request takes one view, and a permit before it computes. The view itself answers at once with the models `auto`,
 //! `mean`, `latest` and `spectral`. All other models are trained on request:

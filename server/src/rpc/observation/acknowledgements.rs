@@ -1,4 +1,4 @@
-//! Where the acknowledgements of a session go: to the client of a stream at once, or into the one reply of a request.
+//! The destination of the acknowledgements of a session: the client of a stream at once, or the one reply of a request.
 //!
 //! Invariant: a refusal comes before or with the acknowledgement of its number.
 
@@ -10,11 +10,11 @@ use crate::{
     rpc::{acks::acks, status::RpcError},
 };
 
-/// Where the acknowledgements of a session go.
+/// The destination of the acknowledgements of a session.
 pub(super) enum Acknowledgements<'a> {
-    /// To the client of a stream.
+    /// The client of a stream.
     Stream(&'a Replies),
-    /// Into the reply of a request: the refused observations.
+    /// The reply of a request, with the refused observations.
     Request(Vec<RefusedObservation>),
 }
 

@@ -129,7 +129,8 @@ impl Day<'_> {
     }
 }
 
-/// Why the robot cannot make a tour in any slot; `None` if it can, or if there is nothing to learn at some time.
+/// The reason why the robot cannot make a tour in any slot; `None` if it can, or if there is nothing to learn at some
+/// time.
 fn never_possible(tours: &[Tour]) -> Option<NoTour> {
     let is_impossible = |tour: &Tour| tour.no_tour.is_some_and(|reason| reason != NoTour::NothingToLearn);
     tours.first().filter(|_| tours.iter().all(is_impossible))?.no_tour

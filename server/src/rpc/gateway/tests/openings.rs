@@ -1,4 +1,4 @@
-//! A map that daemons share, while it shows what the index publishes and is not open yet.
+//! A map that daemons share, while it shows the generation that the index publishes and is not open yet.
 
 use tidemap_map::{
     event::{Event, NewState, StateKind, UpdateCause, UpdateStart},

@@ -213,7 +213,8 @@ async fn a_watcher_hears_of_cells_what_is_found_later() {
     let mut robot = bench.robot("s").await;
     robot.show(&bench, &minutes(1000)).await;
     bench.update().await;
-    // One cell by name, and a box that reaches into a tile that was never seen. Cell 2 changes, and is never certain.
+    // The request selects one cell by name, and a box that reaches into a tile that was never seen. Cell 2 changes, and
+    // is never certain.
     let request = v1::WatchAnomaliesRequest {
         states: vec!["cell/0/0/0".to_owned()],
         region: Some(v1::CellBox { min_x: 1, max_x: 12, max_y: 1, max_z: 1, ..Default::default() }),
