@@ -1,7 +1,8 @@
-//! Who may do what: tokens with roles and maps, and one table that says which role an RPC needs.
+//! Permissions of callers: tokens with roles and maps, and one table of the role that each RPC needs.
 //!
-//! Invariant: what is not allowed is refused. A method without a row in [`table`] is refused to everybody, and work
-//! that does not know its caller may see no map. Tokens are kept as hashes, and no message, log or `Debug` shows one.
+//! Invariant: everything that is not allowed is refused. A method without a row in [`table`] is refused to everybody,
+//! and work that does not know its caller may see no map. Tokens are kept as hashes, and no message, log or `Debug`
+//! shows one.
 
 pub(crate) mod keyring;
 pub(crate) mod peer_secret;
@@ -16,7 +17,7 @@ use tidemap_map::name::ProducerKey;
 
 use self::token_file::Token;
 
-/// What a token allows. An operator may do what observers and planners may, and an admin everything.
+/// The permissions of a token. An operator may do what observers and planners may, and an admin everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub(crate) enum Role {
     /// Sends observations, traversals and visits.
@@ -30,7 +31,7 @@ pub(crate) enum Role {
 }
 
 impl Role {
-    /// Its name on the command line and in files.
+    /// The name of the role on the command line and in files.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Observer => "observer",
@@ -45,7 +46,7 @@ impl Role {
         [Self::Observer, Self::Planner, Self::Operator, Self::Admin].into_iter().find(|role| role.name() == name)
     }
 
-    /// Whether it allows what `other` allows.
+    /// Whether this role allows what `other` allows.
     fn includes(self, other: Self) -> bool {
         self == other || self == Self::Admin || (self == Self::Operator && other != Self::Admin)
     }
@@ -55,7 +56,7 @@ impl Role {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct MapPattern(String);
 
-/// Why a text is no pattern of maps.
+/// The reason why a text is no pattern of maps.
 #[derive(Debug, thiserror::Error)]
 #[error("not a pattern of maps: use a name, the beginning of names and * (lab-*), or * for all maps")]
 pub(crate) struct InvalidPattern;
@@ -95,7 +96,7 @@ impl MapPattern {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ProducerPattern(String);
 
-/// Why a text is no pattern of producers.
+/// The reason why a text is no pattern of producers.
 #[derive(Debug, thiserror::Error)]
 #[error("not a pattern of producers: use a name, the beginning of names and * (robot-*), or * for all producers")]
 pub(crate) struct InvalidProducerPattern;
@@ -130,7 +131,7 @@ impl ProducerPattern {
     }
 }
 
-/// Who makes a request.
+/// The caller of a request.
 #[derive(Clone, Debug)]
 pub(crate) enum Caller {
     /// Somebody, where no tokens are configured: everything is allowed.
@@ -151,8 +152,8 @@ tokio::task_local! {
 }
 
 impl Caller {
-    /// The caller of the request that this task works on. A task that was spawned by the work on a request does not
-    /// know it, unless it was started with [`Caller::scope`].
+    /// The caller of the request that this task works on. A task that was spawned by the work on a request has no
+    /// caller, unless it was started with [`Caller::scope`].
     pub(crate) fn current() -> Self {
         // Unit tests call services without a port.
         CALLER.try_with(Clone::clone).unwrap_or(if cfg!(test) { Self::Anybody } else { Self::Stranger })
@@ -163,7 +164,7 @@ impl Caller {
         CALLER.scope(self, work)
     }
 
-    /// Who this is, for the log.
+    /// The caller, for the log.
     pub(crate) fn shown(&self) -> &str {
         match self {
             Self::Anybody | Self::Reader => "anybody",

@@ -84,18 +84,18 @@ pub(crate) struct Flags {
     pub log_level: Option<String>,
 }
 
-/// A setting, as the example config shows it.
+/// A setting in the form that the example config shows.
 #[derive(Debug)]
 struct Setting {
     key: &'static str,
-    /// Its meaning, in lines as they stand in the code.
+    /// The meaning of the setting, in the lines of the code.
     meaning: &'static [&'static str],
-    /// The least and the greatest value, if it is a limited number.
+    /// The least and the greatest value, if the setting is a limited number.
     range: Option<(u64, u64)>,
 }
 
-/// Declares [`Settings`]: sections with, for each key, its meaning, type and default, and the least and the greatest
-/// allowed value. The example config is made of the same text.
+/// Declares [`Settings`]: sections with the meaning, the type, the default, and the least and the greatest allowed
+/// value of each key. The example config is made from the same text.
 macro_rules! settings {
     ($($section:literal {
         $($(#[doc = $meaning:literal])* $key:ident: $type:ty = $default:expr $(, $min:expr, $max:expr)?;)*
@@ -338,7 +338,7 @@ impl Settings {
             .map(|map| map.into_keys().collect())
             .unwrap_or_default();
         let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
-        // What differs between the daemons of a cluster.
+        // These settings differ between the daemons of a cluster.
         let of_cluster = Env::prefixed("TIDEMAP_CLUSTER_").only(&["member", "advertise", "servers"]);
         let of_cluster = of_cluster.map(|key| format!("cluster.{key}").into());
         let settings: Self = figment
@@ -376,7 +376,7 @@ impl Settings {
         Ok(())
     }
 
-    /// A name that is none would fit no request, and its page would not be shown.
+    /// Checks the host names. A name that is invalid would fit no request, and its page would not be shown.
     fn check_host_names(&self) -> anyhow::Result<()> {
         let is_of_name = |character: char| character.is_ascii_alphanumeric() || matches!(character, '-' | '.' | '_');
         let is_wrong = |name: &&String| name.is_empty() || !name.chars().all(is_of_name);
@@ -399,7 +399,7 @@ impl Settings {
         Ok(())
     }
 
-    /// What one stream may buffer fits into what all may.
+    /// Checks that the buffer of one stream fits into the buffer of all streams.
     fn check_buffers(&self) -> anyhow::Result<()> {
         let (one, all, default) = (self.max_stream_buffer_bytes, self.max_buffer_bytes, Self::default());
         if one > all && one != default.max_stream_buffer_bytes {
@@ -444,7 +444,7 @@ impl Settings {
         Ok(())
     }
 
-    /// What a port beyond this machine would lack, if there is such a port.
+    /// The protection that a port beyond this machine lacks, if there is such a port.
     pub(crate) fn missing_protection(&self) -> Option<MissingProtection> {
         let is_exposed = !is_local(&self.listen) || !is_local(&self.http_listen);
         let (tls, tokens) = (self.tls_files().is_some(), !self.tokens_file.as_os_str().is_empty());
@@ -555,7 +555,7 @@ mod tests {
         }
     }
 
-    /// Any bytes are settings or an error, never a panic. The draws are those of a linear congruential generator.
+    /// Any bytes are settings or an error, never a panic. The bytes are drawn with a linear congruential generator.
     #[test]
     fn a_garbled_config_file_is_an_error() {
         let sound = "data_dir = './d'\nlisten = '127.0.0.1:2'\nmax_maps = 7\nlog_format = 'json'\nhttp_write = true\n";

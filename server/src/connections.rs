@@ -1,11 +1,11 @@
 //! Connections: how many there are, how long one may be silent, and which one makes room for the next.
 //!
 //! Invariant: the number of connections is bounded, in total and per client. A connection that has not made a request
-//! within [`REQUEST_WITHIN`] ends. When a bound is reached, a connection that works on no request makes room: first one
-//! of which no request was served, then one that is idle for long enough. If all are busy, the new one is closed. A
-//! client that only holds connections open, or whose requests are refused, cannot keep others out. On the HTTP port a
-//! connection whose reply nobody reads makes room as an idle one does; and when all are busy, one of the client that
-//! has the most makes room for a client that has few.
+//! within [`REQUEST_WITHIN`] ends. When a bound is reached, a connection that works on no request makes room: first a
+//! connection of which no request was served, then one that is idle for long enough. If all are busy, the new
+//! connection is closed. A client that only holds connections open, or whose requests are refused, cannot keep others
+//! out. On the HTTP port a connection whose reply nobody reads makes room like an idle one; and when all are busy, a
+//! connection of the client that has the most makes room for a client that has few.
 
 use std::{
     collections::HashMap,
@@ -32,9 +32,9 @@ pub(crate) mod unread;
 
 /// A connection must make its first request within this time.
 const REQUEST_WITHIN: Duration = Duration::from_secs(5);
-/// A connection whose client takes nothing of its reply for so long may make room for another.
+/// A connection whose client takes nothing of its reply for this time may make room for another.
 const STALLED_AFTER: Duration = Duration::from_secs(2);
-/// A client has few connections, if another has more than so many times as many.
+/// A client has few connections if another client has more than this many times as many.
 const FEW: usize = 4;
 
 /// Limits of a port's connections.
@@ -52,17 +52,17 @@ pub(crate) struct ConnectionLimits {
 pub(crate) const HTTP_CONNECTIONS: ConnectionLimits =
     ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
 
-/// Which connections these are, as the metrics name them.
+/// The kind of connections, as the metrics name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Port {
-    /// Those of the gRPC port and of the Unix socket.
+    /// Connections of the gRPC port and of the Unix socket.
     Grpc,
-    /// Those of the HTTP port.
+    /// Connections of the HTTP port.
     Http,
-    /// Those of the HTTP port beyond its limits, which may ask whether the daemon lives. They last
+    /// Connections of the HTTP port beyond its limits, which may only read whether the daemon lives. They last
     /// [`REQUEST_WITHIN`] at most, and each may make room for the next.
     Probes,
-    /// Those of the programs that import recordings.
+    /// Connections of the programs that import recordings.
     Imports,
 }
 
@@ -78,7 +78,7 @@ impl Port {
     }
 }
 
-/// Who is at the other end.
+/// The client at the other end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Peer {
     /// A client with this address.
@@ -97,7 +97,7 @@ impl fmt::Display for Peer {
 }
 
 impl Peer {
-    /// Whether it is a process of this machine.
+    /// Whether the peer is a process of this machine.
     pub(crate) fn is_of_this_machine(self) -> bool {
         match self {
             Self::Address(address) => address.is_loopback(),
@@ -121,46 +121,46 @@ struct Open {
     next: u64,
 }
 
-/// What the port knows of a connection.
+/// The state of a connection.
 #[derive(Debug)]
 struct Seat {
     peer: Peer,
     opened: Instant,
-    /// Requests that are worked on.
+    /// Number of requests that are worked on.
     requests: AtomicUsize,
-    /// A request has arrived, whether it is served or not.
+    /// Whether a request has arrived, whether it is served or not.
     has_request: AtomicBool,
-    /// Milliseconds from `opened` to the end of its last request that was served, and one more; 0 if there was none.
+    /// Milliseconds from `opened` to the end of the last request that was served, plus one; 0 if there was none.
     served_after_millis: AtomicU64,
-    /// Milliseconds from `opened` to when its client ceased to take its reply, and one more; 0: it takes it.
+    /// Milliseconds from `opened` to when the client ceased to take its reply, plus one; 0 while the client takes it.
     stalled_after_millis: AtomicU64,
-    /// The connection has to make room for another.
+    /// Whether the connection has to make room for another.
     is_displaced: AtomicBool,
     waker: Mutex<Option<Waker>>,
 }
 
-/// The other end of a connection, as its requests carry it.
+/// The other end of a connection. Requests carry it as an extension.
 #[derive(Clone, Debug)]
 pub(crate) struct Remote(Arc<Seat>);
 
 impl Remote {
-    /// Who is there.
+    /// The client at the other end.
     pub(crate) fn peer(&self) -> Peer {
         self.0.peer
     }
 
-    /// Notes that the connection has made a request, whether it is served or not.
+    /// Records that the connection has made a request, whether it is served or not.
     pub(crate) fn note_request(&self) {
         self.0.has_request.store(true, Ordering::Release);
     }
 
-    /// Lets the connection end.
+    /// Makes the connection end.
     fn displace(&self) {
         self.0.displace();
     }
 
-    /// Keeps the connection busy until it is dropped. `is_served`: the request is of somebody who may ask, so that the
-    /// connection counts as one in use afterwards.
+    /// Keeps the connection busy until the result is dropped. `is_served`: the caller of the request is allowed to make
+    /// it, so that the connection counts as one in use afterwards.
     pub(crate) fn busy(&self, is_served: bool) -> Busy {
         self.0.requests.fetch_add(1, Ordering::AcqRel);
         Busy { seat: Arc::clone(&self.0), is_served }
@@ -183,7 +183,7 @@ impl Drop for Busy {
     }
 }
 
-/// One of the connections that a port may have open; free again when dropped.
+/// One of the connections that a port may have open; it is free again when dropped.
 #[derive(Debug)]
 pub(crate) struct ConnectionSlot {
     number: u64,
@@ -193,7 +193,7 @@ pub(crate) struct ConnectionSlot {
 }
 
 impl ConnectionSlot {
-    /// The other end.
+    /// The other end of this connection.
     pub(crate) fn remote(&self) -> Remote {
         Remote(Arc::clone(&self.seat))
     }
@@ -222,19 +222,19 @@ impl Seat {
         self.has_request.load(Ordering::Acquire)
     }
 
-    /// A moment as milliseconds since it was opened, and one more.
+    /// A moment as milliseconds since the connection was opened, plus one.
     fn millis_of(&self, moment: Instant) -> u64 {
         let since = moment.saturating_duration_since(self.opened).as_millis();
         u64::try_from(since).unwrap_or(u64::MAX).saturating_add(1)
     }
 
-    /// How long ago a moment was that [`Seat::millis_of`] gave; `None` for 0.
+    /// The time since a moment that [`Seat::millis_of`] returned; `None` for 0.
     fn since(&self, millis: &AtomicU64, now: Instant) -> Option<Duration> {
         let millis = millis.load(Ordering::Acquire).checked_sub(1)?;
         Some(now.saturating_duration_since(self.opened + Duration::from_millis(millis)))
     }
 
-    /// Notes since when the client takes nothing of its reply; `None`: it takes it.
+    /// Records since when the client takes nothing of its reply; `None`: the client takes it.
     fn note_stall(&self, since: Option<tokio::time::Instant>) {
         let millis = since.map_or(0, |since| self.millis_of(since.into_std()));
         self.stalled_after_millis.store(millis, Ordering::Release);
@@ -260,8 +260,8 @@ impl Seat {
         false
     }
 
-    /// Which of two connections makes room first: those of which no request was served, then those idle for longest.
-    /// `None`: it is in use.
+    /// The rank of the connection for making room: first connections of which no request was served, then those idle
+    /// for longest. `None`: the connection is in use.
     fn rank(&self, idle_after: Duration, now: Instant) -> Option<(bool, Duration)> {
         let stalled = self.since(&self.stalled_after_millis, now).filter(|stalled| *stalled >= STALLED_AFTER);
         if stalled.is_none() && self.requests.load(Ordering::Acquire) > 0 {
@@ -276,7 +276,7 @@ impl Seat {
 }
 
 impl Open {
-    /// Number of open connections that do not have to make room, of any client or of one.
+    /// Number of open connections that do not have to make room, of all clients or of one.
     fn staying(&self, peer: Option<Peer>) -> usize {
         let stays =
             |seat: &&Arc<Seat>| peer.is_none_or(|peer| seat.peer == peer) && !seat.is_displaced.load(Ordering::Acquire);
@@ -285,17 +285,17 @@ impl Open {
 }
 
 impl Connections {
-    /// No connections.
+    /// Creates an empty set of connections.
     pub(crate) fn new(port: Port, limits: ConnectionLimits) -> Self {
         Self { port, limits, open: Arc::default() }
     }
 
-    /// Which connections these are.
+    /// The kind of these connections.
     pub(crate) fn port(&self) -> Port {
         self.port
     }
 
-    /// Lets a connection make room, of any client or of one.
+    /// Makes a connection of any client, or of one client, make room.
     fn displace(&self, open: &Open, peer: Option<Peer>, now: Instant) -> bool {
         let rank = |seat: &Seat| match self.port {
             Port::Probes => Some((true, now.saturating_duration_since(seat.opened))),
@@ -310,7 +310,7 @@ impl Connections {
         true
     }
 
-    /// Lets the newest connection of the client that has the most make room for a client that has few.
+    /// Makes the newest connection of the client that has the most make room for a client that has few.
     fn displace_of_largest(&self, open: &Open, newcomer: Peer) -> bool {
         if self.port != Port::Http {
             return false;
@@ -331,12 +331,12 @@ impl Connections {
         metrics::counter!("tidemap_connections_displaced", "port" => self.port.name()).increment(1);
     }
 
-    /// A slot for a new connection; another connection makes room if it has to. `None` if all others are busy.
+    /// A slot for a new connection; another connection makes room if necessary. `None` if all others are busy.
     pub(crate) fn admit(&self, peer: Peer) -> Option<ConnectionSlot> {
         let now = Instant::now();
         let mut open = lock(&self.open);
         let of_peer = open.per_client.get(&peer).copied().unwrap_or(0);
-        // Most of the time both bounds are far away, and nothing is counted one by one.
+        // Usually both bounds are far away, and connections are not counted one by one.
         let is_full_for_peer = of_peer >= self.limits.per_client && open.staying(Some(peer)) >= self.limits.per_client;
         let has_room = !is_full_for_peer || self.displace(&open, Some(peer), now);
         let is_full = open.seats.len() >= self.limits.total && open.staying(None) >= self.limits.total;
@@ -364,7 +364,7 @@ impl Connections {
         Some(ConnectionSlot { number, seat, port: self.port, open: Arc::clone(&self.open) })
     }
 
-    /// Lets one connection make room, because the process has no descriptors left.
+    /// Makes one connection make room, because the process has no descriptors left.
     pub(crate) fn make_room(&self) {
         self.displace(&lock(&self.open), None, Instant::now());
     }

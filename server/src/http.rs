@@ -1,8 +1,9 @@
-//! The HTTP port: health for everybody, metrics, beyond this machine for holders of tokens, and what [`web`] adds.
+//! The HTTP port: health for everybody, metrics (beyond this machine, for holders of tokens only), and the routes of
+//! [`web`].
 //!
-//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name. Names of maps
-//! and producers are among the metrics only for those who may list them. Whether the daemon lives and serves is
-//! answered also when all connections of the port are busy: by its reserve. All replies are counted until they are
+//! Invariant: health and metrics reveal nothing of the content of a map, and are available by any host name. Names of
+//! maps and producers are among the metrics only for callers who may list them. Whether the daemon lives and serves is
+//! answered also when all connections of the port are busy, by its reserve. All replies are counted until they are
 //! read.
 
 use std::{io, path::PathBuf, sync::Arc};
@@ -39,10 +40,10 @@ use shared_text::SharedText;
 
 const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
 
-/// Problems of the storage that are told one by one.
+/// Maximum number of problems of the storage that are listed one by one.
 const TROUBLE_SHOWN: usize = 20;
 
-/// A line for each map that is being opened; no names, because nobody has to log in here.
+/// A line for each map that is being opened. It has no names, because this page needs no token.
 fn opening(catalog: &Catalog) -> String {
     let line = |handle: &Arc<MapHandle>| match handle.opening() {
         OpenProgress::Open => None,
@@ -53,7 +54,7 @@ fn opening(catalog: &Catalog) -> String {
     catalog.all().values().filter_map(line).collect()
 }
 
-/// A line for each problem of the storage; whether observations, generations or lists are not kept as they should be.
+/// A line for each problem of the storage; and whether observations, generations or lists are not kept correctly.
 fn trouble(catalog: &Catalog) -> (String, bool) {
     let trouble = catalog.context().store.trouble();
     let serves = |trouble: &Trouble| matches!(trouble, Trouble::NoIndex(_) | Trouble::Damaged { .. });
@@ -65,13 +66,13 @@ fn trouble(catalog: &Catalog) -> (String, bool) {
     (text, is_severe)
 }
 
-/// A line for each map that is set aside; its number, as above. The log and `map list` name it.
+/// A line for each map that is set aside. It has the map's number, not its name; the log and `map list` have the name.
 fn unavailable(catalog: &Catalog) -> String {
     let maps = catalog.unavailable();
     maps.iter().map(|map| format!("map number {} is unavailable: {}\n", map.id.0, map.reason)).collect()
 }
 
-/// Whether requests are served as they should be, and what is to be said about it.
+/// Whether requests are served normally, and the text that describes it.
 pub(crate) fn readiness(catalog: &Catalog, is_stopping: bool) -> (bool, String) {
     let (trouble, is_severe) = trouble(catalog);
     let (opening, unavailable) = (opening(catalog), unavailable(catalog));
@@ -86,20 +87,21 @@ pub(crate) fn readiness(catalog: &Catalog, is_stopping: bool) -> (bool, String) 
     }
 }
 
-/// Where metrics come from.
+/// The sources of the metrics.
 #[derive(Clone, Debug)]
 pub(crate) struct Metrics {
-    /// What the process has counted.
+    /// The counters of the process.
     pub handle: PrometheusHandle,
     /// The data folder, whose disk is watched.
     pub data_dir: PathBuf,
     /// The schedule of backups, if there is one.
     pub backups: Option<Schedule>,
-    /// Finds who is silent.
+    /// Finds the producers that are silent.
     pub silent: Arc<SilentProducers>,
-    /// Who may read names: whoever may do so by the RPCs, also where the port itself is open to this machine.
+    /// The access to names: callers who may list names by the RPCs may read them here, also where the port itself is
+    /// open to this machine.
     pub names_for: Access,
-    /// The host names by which pages of browsers may read them.
+    /// The host names by which pages of browsers may read the names.
     pub hosts: KnownHosts,
 }
 
@@ -109,7 +111,7 @@ impl Metrics {
     }
 }
 
-/// What programs ask that watch the daemon.
+/// The routes for programs that watch the daemon.
 fn probes(catalog: Arc<Catalog>, stopping: watch::Receiver<bool>) -> Router {
     let ready = move || {
         let (is_ready, text) = readiness(&catalog, *stopping.borrow());
@@ -126,14 +128,14 @@ async fn keep_busy(
     next: Next,
 ) -> Response {
     remote.note_request();
-    // Whether the request is served, admission says.
+    // The admission decides whether the request is served.
     let busy = remote.busy(false);
-    // One request a turn: many that come at once over one connection do not delay others.
+    // The task handles one request per turn: many that arrive at once over one connection do not delay others.
     tokio::task::yield_now().await;
     unread.counted(next.run(request).await, &remote, busy).unwrap_or_else(web::no_room)
 }
 
-/// What connections beyond the limits may ask; each has one answer.
+/// The routes for connections beyond the limits; each connection gets one answer.
 fn reserve(probes: Router) -> Router {
     let full = "all connections of this port are busy: try again later\n";
     probes.fallback(move || async move { (StatusCode::SERVICE_UNAVAILABLE, full) }).layer(map_response(
@@ -166,7 +168,7 @@ pub(crate) async fn serve(
     tokio::join!(http1::serve(connections, router, stop.clone()), http1::serve(in_reserve, reserve, stop));
 }
 
-/// What `/metrics` is made of.
+/// The sources of `/metrics`.
 struct MetricsPage {
     catalog: Arc<Catalog>,
     metrics: Metrics,
@@ -200,7 +202,7 @@ async fn metrics_page(
 }
 
 impl MetricsPage {
-    /// All metrics but those of names. Sizes and backups are read from the disk.
+    /// All metrics except those of names. Sizes and backups are read from the disk.
     fn text(&self) -> String {
         let Self { catalog, metrics, .. } = self;
         for (name, value, _) in statistics::of_daemon(catalog) {

@@ -1,6 +1,6 @@
-//! The gRPC services: each decodes its request, asks the domain, and encodes the reply.
+//! The gRPC services: each decodes its request, calls the domain code, and encodes the reply.
 //!
-//! Invariant: nothing about maps is decided here, and every error becomes a status in [`status`] only.
+//! Invariant: no code here decides anything about maps, and every error becomes a status in [`status`] only.
 
 pub(crate) mod admission;
 pub(crate) mod cluster;

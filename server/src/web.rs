@@ -1,8 +1,8 @@
-//! What browsers and scripts find on the HTTP port: gRPC-Web, the same RPCs as JSON, pictures and
-//! documents to link to, imports of recordings, and the page.
+//! The services for browsers and scripts on the HTTP port: gRPC-Web, the same RPCs as JSON, pictures and documents to
+//! link to, imports of recordings, and the page.
 //!
 //! Invariant: a request reaches the RPCs by the same guard, admission and bounds as on the gRPC port. Requests of pages
-//! of other origins are refused. Without tokens the port is for reading, unless the operator says `http_write`.
+//! of other origins are refused. Without tokens the port is for reading, unless the operator sets `http_write`.
 
 use std::sync::Arc;
 
@@ -40,17 +40,17 @@ pub(crate) use assets::has_page;
 pub(crate) use origin::{KnownHosts, is_own};
 pub(crate) use recordings::Recordings;
 
-/// The RPC that answers with grids. Its replies are the only ones that browsers take compressed: a fifth of them
-/// remains. Others are small, or streams of which every message must leave at once.
+/// The RPC that answers with grids. Only its replies are sent to browsers compressed: this reduces them to a fifth.
+/// Other replies are small, or streams of which every message must leave at once.
 const PREDICT_GRID: &str = "/tidemap.v1.QueryService/PredictGrid";
 
-/// The RPCs behind JSON, and the questions behind pictures.
+/// The RPCs behind JSON, and the queries behind pictures.
 #[derive(Clone)]
 struct Gateway {
     services: GuardedServices,
     queries: GuardedQueries,
     pool: DescriptorPool,
-    /// Turns to convert a large message.
+    /// Turns to convert a large message, one permit each.
     large: Arc<tokio::sync::Semaphore>,
 }
 
@@ -84,7 +84,7 @@ pub(crate) fn router(
             };
         }
     }
-    // Half of the processors are left to others, but for a machine that has one.
+    // Half of the processors are left to other work, except on a machine with one processor.
     let at_once = std::thread::available_parallelism().map_or(1, |processors| processors.get().div_ceil(2));
     let large = Arc::new(tokio::sync::Semaphore::new(at_once));
     let gateway = Gateway { services: services.clone(), queries, pool, large };
@@ -102,7 +102,7 @@ fn shared(mut response: Response) -> Response {
     response
 }
 
-/// The answer where there is no room for a reply.
+/// The response when there is no room for a reply.
 pub(crate) fn no_room(refusal: NoRoom) -> Response {
     json::failure(StatusCode::TOO_MANY_REQUESTS, "RESOURCE_EXHAUSTED", "UNREAD_REPLIES", &refusal.to_string())
 }

@@ -1,6 +1,6 @@
 //! The tokens that are valid now.
 //!
-//! Invariant: a comparison takes the same time whatever the token is; of an unknown one as well. Work for a token ends
+//! Invariant: a comparison takes the same time whatever the token is, also for an unknown token. Work for a token ends
 //! when the token is revoked or changed, or has expired.
 
 use std::{collections::HashMap, path::PathBuf, sync::Arc, time::Duration};
@@ -15,23 +15,23 @@ use super::{
 };
 use crate::clock::{Clock as _, SystemClock};
 
-/// How often work for a token that expires looks at the clock, which may also be set.
+/// Interval at which work for a token that expires reads the clock, which may also be set.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// A longer text is no token.
 const TOKEN_BYTES_MAX: usize = 256;
-/// What an unknown token is compared with.
+/// The hash with which an unknown token is compared.
 const NO_HASH: TokenHash = [0; 32];
 
 type ById = HashMap<String, Arc<Token>>;
 
-/// Why a request has no caller.
+/// The reason why a request has no caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Denial {
-    /// It has no token.
+    /// The request has no token.
     Missing,
-    /// Its token is none of those here.
+    /// The token of the request is not among the tokens of the file.
     Unknown,
-    /// Its token was valid until a time that has passed.
+    /// The token of the request was valid until a time that has passed.
     Expired,
 }
 
@@ -43,7 +43,7 @@ pub(crate) struct Keyring {
 }
 
 impl Keyring {
-    /// The tokens of a file.
+    /// Reads the tokens of a file.
     ///
     /// # Errors
     /// See [`TokenFileError`].

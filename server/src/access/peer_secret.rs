@@ -1,7 +1,7 @@
-//! The secret by which the daemons of a cluster know each other, sent in place of a token.
+//! The secret by which the daemons of a cluster recognise each other, sent in place of a token.
 //!
-//! Invariant: a daemon without a cluster takes none. A comparison takes equally long whatever was sent, and no message,
-//! log or `Debug` shows the secret.
+//! Invariant: a daemon without a cluster accepts no secret. A comparison takes equally long whatever was sent, and no
+//! message, log or `Debug` shows the secret.
 
 use std::fmt;
 
@@ -36,12 +36,13 @@ impl PeerSecret {
         Self { text, hash }
     }
 
-    /// The secret itself, for the engine.
+    /// The text of the secret, for the engine.
     pub(crate) fn text(&self) -> &str {
         &self.text
     }
 
-    /// What proves that a request is of a daemon that knows the secret; `None` for a secret that cannot be sent.
+    /// The header which proves that a request comes from a daemon that knows the secret; `None` for a secret that
+    /// cannot be sent.
     pub(crate) fn header(&self) -> Option<HeaderValue> {
         let mut header = HeaderValue::from_str(&format!("Bearer {}", self.text)).ok()?;
         header.set_sensitive(true);
@@ -52,12 +53,13 @@ impl PeerSecret {
         hmac::Key::new(hmac::HMAC_SHA256, self.text.as_bytes())
     }
 
-    /// What proves that a text is of a daemon that knows the secret, in hexadecimal digits. It reveals nothing of it.
+    /// A proof that a text comes from a daemon that knows the secret, in hexadecimal digits. It reveals nothing of the
+    /// secret.
     pub(crate) fn proof_of(&self, text: &str) -> String {
         hmac::sign(&self.key(), text.as_bytes()).as_ref().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Whether this is what [`PeerSecret::proof_of`] gave for the text.
+    /// Whether [`PeerSecret::proof_of`] returns this proof for the text.
     pub(crate) fn proves(&self, text: &str, proof: &str) -> bool {
         let digit = |digits: &[u8]| u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok();
         let bytes: Option<Vec<u8>> = proof.as_bytes().chunks(2).map(digit).collect();
@@ -68,7 +70,7 @@ impl PeerSecret {
     /// Whether the sender of these headers knows the secret.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason why the sender is refused.
     pub(crate) fn check(&self, headers: &HeaderMap) -> Result<(), Denial> {
         let header = headers.get(AUTHORIZATION).ok_or(Denial::Missing)?.as_bytes();
         let (scheme, text) = header.split_at_checked(7).ok_or(Denial::Unknown)?;

@@ -1,17 +1,17 @@
-//! Which daemon can answer which RPC, where daemons share maps: the only place where that is said.
+//! The daemons that can answer each RPC, where daemons share maps. This is the only place that states this.
 //!
 //! Invariant: each method that a port serves has one row; a test compares the rows with the table of roles.
 
-/// Where the requests of a method can be answered.
+/// The daemons that can answer the requests of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Place {
-    /// By the daemon that got the request.
+    /// The daemon that received the request.
     Anywhere,
-    /// By each daemon that holds the map and has not fallen behind.
+    /// Each daemon that holds the map and has not fallen behind.
     Reader,
-    /// By the daemon that writes the map.
+    /// The daemon that writes the map.
     Writer,
-    /// By the daemon that has the job.
+    /// The daemon that has the job.
     Job,
 }
 
@@ -24,7 +24,7 @@ const PLACES: &[(&str, Place)] = &[
     // Each daemon can change the list of maps that they share.
     ("/tidemap.v1.MapService/CreateMap", Place::Anywhere),
     ("/tidemap.v1.MapService/GetMap", Place::Reader),
-    // The maps that a daemon holds.
+    // The answer lists the maps that the daemon holds.
     ("/tidemap.v1.MapService/ListMaps", Place::Anywhere),
     ("/tidemap.v1.MapService/DeleteMap", Place::Anywhere),
     ("/tidemap.v1.MapService/AddState", Place::Writer),
@@ -38,7 +38,7 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.MapService/ListNoGo", Place::Reader),
     ("/tidemap.v1.ObservationService/Observe", Place::Writer),
     ("/tidemap.v1.ObservationService/Report", Place::Writer),
-    // It may learn from the answer.
+    // This method may learn from its answer.
     ("/tidemap.v1.ObservationService/ClassifyActivity", Place::Writer),
     ("/tidemap.v1.QueryService/PredictStates", Place::Reader),
     ("/tidemap.v1.QueryService/EvaluateStates", Place::Reader),
@@ -87,12 +87,12 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.MaintenanceService/WatchJob", Place::Job),
     ("/tidemap.v1.MaintenanceService/GetUpdateReport", Place::Job),
     ("/tidemap.v1.MaintenanceService/GetStatistics", Place::Reader),
-    // Only the writer knows whose streams are open.
+    // Only the writer knows which producers have open streams.
     ("/tidemap.v1.MaintenanceService/ListProducers", Place::Writer),
     ("/tidemap.v1.MaintenanceService/ForgetProducer", Place::Writer),
     ("/tidemap.v1.MaintenanceService/CreateBackup", Place::Anywhere),
     ("/tidemap.v1.MaintenanceService/Erase", Place::Writer),
-    // Each member says what it knows and has.
+    // Each member reports its own state and data.
     ("/tidemap.v1.ClusterService/GetClusterStatus", Place::Anywhere),
     ("/tidemap.v1.ClusterService/MoveMap", Place::Anywhere),
     ("/tidemap.v1.ClusterService/GetLogPoint", Place::Anywhere),
@@ -103,7 +103,7 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.PeerService/FetchMap", Place::Anywhere),
 ];
 
-/// Where the requests of a path can be answered; a method that does not exist is refused anywhere.
+/// The daemons that can answer the requests of a path; a method that does not exist is refused by any daemon.
 pub(crate) fn place(path: &str) -> Place {
     PLACES.iter().find(|(method, _)| *method == path).map_or(Place::Anywhere, |(_, place)| *place)
 }
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn a_method_that_depends_on_a_map_names_one() {
-        // Members answer for themselves, also where a map is named.
+        // Members answer for themselves, also where a request names a map.
         for (path, place) in PLACES.iter().filter(|(path, _)| !path.contains(".ClusterService/")) {
             let depends = matches!(place, Place::Reader | Place::Writer);
             assert_eq!(depends, names_a_map(path), "{path}");

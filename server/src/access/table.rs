@@ -1,14 +1,14 @@
-//! Which RPC needs which role: the only place where that is said.
+//! The role that each RPC needs. This is the only place that states this.
 //!
 //! Invariant: each method that a port serves has one row; a test compares the rows with the descriptors. A method
 //! without a row is refused.
 
 use super::Role::{self, Admin, Observer, Operator, Planner};
 
-/// What a method needs.
+/// The permission that a method needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Need {
-    /// Nothing: it reveals nothing about maps.
+    /// No permission: the method reveals nothing about maps.
     Open,
     /// Any valid token. What the method shows is limited to the token's maps.
     Token,
@@ -35,7 +35,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/grpc.health.v1.Health/Watch", Need::Token),
     ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Need::Token),
     ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Need::Token),
-    // Maps and their content. Producers ask what a map is before they send to it.
+    // Maps and their content. Producers read the settings of a map before they send to it.
     (CREATE_MAP, role(Admin)),
     ("/tidemap.v1.MapService/GetMap", Need::Token),
     ("/tidemap.v1.MapService/ListMaps", Need::Token),
@@ -51,7 +51,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MapService/ListNoGo", Need::Token),
     (OBSERVE, role(Observer)),
     ("/tidemap.v1.ObservationService/Report", role(Observer)),
-    // To learn from the answer needs the observer, too.
+    // A request to learn from the answer needs the observer, too.
     ("/tidemap.v1.ObservationService/ClassifyActivity", role(Planner)),
     ("/tidemap.v1.QueryService/PredictStates", role(Planner)),
     ("/tidemap.v1.QueryService/EvaluateStates", role(Planner)),
@@ -94,7 +94,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.SearchService/PlanSearch", role(Planner)),
     ("/tidemap.v1.SearchService/PredictPresence", role(Planner)),
     ("/tidemap.v1.SearchService/NextJoint", role(Planner)),
-    // Jobs of maps that the token is not for are unknown to it. Producers of recordings follow their updates.
+    // A token does not see jobs of maps that it is not for. Producers of recordings follow the updates of their maps.
     ("/tidemap.v1.MaintenanceService/RunUpdate", role(Operator)),
     ("/tidemap.v1.MaintenanceService/GetJob", Need::Token),
     ("/tidemap.v1.MaintenanceService/ListJobs", Need::Token),
@@ -116,7 +116,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.PeerService/FetchMap", Need::Peer),
 ];
 
-/// What the method of a path needs; `None` if there is no such method.
+/// The permission that the method of a path needs; `None` if there is no such method.
 pub(crate) fn need(path: &str) -> Option<Need> {
     TABLE.iter().find(|(method, _)| *method == path).map(|(_, need)| *need)
 }
@@ -126,7 +126,7 @@ pub(crate) fn methods() -> impl Iterator<Item = &'static str> {
     TABLE.iter().map(|(method, _)| *method)
 }
 
-/// The method of a path for metrics: as in the table, so that their number is bounded.
+/// The method of a path for metrics: its name from the table, so that the number of names is bounded.
 pub(crate) fn method_name(path: &str) -> &'static str {
     TABLE.iter().find(|(method, _)| *method == path).map_or("unknown", |(method, _)| method)
 }
@@ -140,7 +140,7 @@ mod tests {
 
     use super::*;
 
-    /// The paths of all methods that a port serves, by the descriptors of its services.
+    /// The paths of all methods that a port serves, from the descriptors of its services.
     fn served() -> BTreeSet<String> {
         let sets = [
             tidemap_proto::v1::DESCRIPTORS,
@@ -173,7 +173,7 @@ mod tests {
         assert!(served.len() > 40, "{served:?}");
     }
 
-    /// Methods whose requests name no map, and which show or change only what belongs to the token's maps.
+    /// Methods whose requests name no map, and which show or change only the data of the token's maps.
     const LIMITED_TO_MAPS: [&str; 9] = [
         "ListMaps",
         "Observe",        // its Hello names the map

@@ -103,7 +103,7 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
                 Ok(tokens.len() < before)
             })?;
             if !is_gone {
-                // Whoever gives the whole token by mistake does not find it in a log.
+                // The message does not repeat the text, so that a whole token that is given by mistake is not in a log.
                 bail!("there is no token of this id: `tidemapd token list` shows the ids");
             }
             eprintln!("revoked; a running daemon refuses it within seconds");
@@ -112,7 +112,7 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
     Ok(ExitCode::SUCCESS)
 }
 
-/// When a token ends, in seconds since 1970.
+/// Parses the end of a token, in seconds since 1970.
 fn expiry_secs(when: &str, now: i64) -> anyhow::Result<i64> {
     let expires = match parse_duration(when) {
         Ok(duration) => now.saturating_add(duration),

@@ -1,7 +1,8 @@
 //! The file of tokens: their hashes, roles, maps and producers, as TOML.
 //!
-//! Invariant: the file holds hashes only, and is replaced in one step. Its owner alone may read it; if it belongs to
-//! root, its group too, as files of secrets in containers. Messages name the entry that is wrong, never what is in it.
+//! Invariant: the file holds hashes only, and is replaced in one step. Only its owner may read it; if it belongs to
+//! root, its group may read it too, as files of secrets in containers require. Messages name the entry that is wrong,
+//! never its content.
 
 use std::{
     fmt::Write as _,
@@ -37,32 +38,32 @@ pub(super) type TokenHash = [u8; 32];
 /// A token, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Token {
-    /// Its public part, which logs and lists show.
+    /// The public part of the token, which logs and lists show.
     pub id: String,
     /// The hash of the whole token.
     pub hash: TokenHash,
-    /// What it allows.
+    /// The roles of the token.
     pub roles: Vec<Role>,
-    /// The maps that it is for.
+    /// The maps that the token is for.
     pub maps: Vec<MapPattern>,
-    /// The producers that it may send as.
+    /// The producers that the token may send as.
     pub producers: Vec<ProducerPattern>,
-    /// Who has it, in the operator's words.
+    /// The holder of the token, in the operator's words.
     pub note: String,
-    /// When it was made, in seconds since 1970.
+    /// The time when the token was made, in seconds since 1970.
     pub created_secs: i64,
-    /// From when on it is refused, in seconds since 1970; `None`: never.
+    /// The time from which the token is refused, in seconds since 1970; `None`: never.
     pub expires_secs: Option<i64>,
 }
 
 impl Token {
-    /// Whether it is refused at a time, in nanoseconds since 1970.
+    /// Whether the token is refused at a time, in nanoseconds since 1970.
     pub(super) fn has_expired(&self, now_nanos: i64) -> bool {
         self.expires_secs.is_some_and(|expires_secs| expires_secs <= now_nanos.div_euclid(1_000_000_000))
     }
 }
 
-/// Why the file of tokens cannot be used.
+/// The reason why the file of tokens cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TokenFileError {
     #[error("token file {}: {source}", .path.display())]
@@ -90,7 +91,7 @@ struct Entry {
     sha256: String,
     roles: Vec<String>,
     maps: Vec<String>,
-    /// Absent in files of earlier versions: all.
+    /// `None` in files of earlier versions: all producers.
     producers: Option<Vec<String>>,
     #[serde(default)]
     note: String,
@@ -121,10 +122,10 @@ fn from_hex(text: &str) -> Option<TokenHash> {
     Some(hash)
 }
 
-/// A new token: what is kept of it, and the text that only its holder gets.
+/// Makes a new token. Returns the entry that is kept, and the text that only its holder gets.
 ///
 /// # Errors
-/// The system gives no random numbers.
+/// The system returns no random numbers.
 pub(super) fn generate(
     roles: Vec<Role>,
     maps: Vec<MapPattern>,
@@ -187,7 +188,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
     let invalid = |entry: String, reason| TokenFileError::Invalid { path: path.to_owned(), entry, reason };
     let mut text = String::new();
     file.read_to_string(&mut text).map_err(io)?;
-    // The parser's own message could quote what is in the file.
+    // The parser's own message could quote the content of the file.
     let entries: Entries = Figment::from(Toml::string(&text)).extract().map_err(|error| {
         let at = if error.path.is_empty() { String::new() } else { format!(", {}", error.path.join(".")) };
         invalid(at, "not a list of [[token]] with id, sha256, roles and maps")
@@ -250,10 +251,10 @@ pub(super) fn change<T>(
     let mut tokens = if before.is_some() { read(path)? } else { Vec::new() };
     let outcome = change(&mut tokens)?;
     let new = path.with_extension("new");
-    // One that an interrupted change left behind.
+    // An interrupted change may have left a file.
     let _ = fs::remove_file(&new);
     let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&new).map_err(io)?;
-    // Root makes tokens for the user that the daemon runs as: the owner of the file, or of its folder.
+    // Root makes tokens for the user under which the daemon runs: the owner of the file, or of its folder.
     let folder_metadata = folder_file.metadata().map_err(io)?;
     let owner = before.unwrap_or(folder_metadata);
     let own = file.metadata().map_err(io)?;

@@ -19,10 +19,10 @@ pub(crate) struct ClusterSettings {
     pub member: String,
     /// URLs of the engine's servers.
     pub servers: Vec<String>,
-    /// Where other daemons and clients reach this one.
+    /// The address by which other daemons and clients reach this one.
     #[serde(default)]
     pub advertise: String,
-    /// A file with what proves to the engine who connects, as `nsc` writes it.
+    /// A file with the credentials for the engine, as `nsc` writes it.
     #[serde(default)]
     pub credentials_file: PathBuf,
     /// A file with the seed of an nkey.
@@ -40,25 +40,25 @@ pub(crate) struct ClusterSettings {
     /// The authority of the certificates of the other daemons.
     #[serde(default)]
     pub peer_ca: PathBuf,
-    /// Daemons that hold each map.
+    /// Number of daemons that hold each map.
     #[serde(default = "three")]
     pub replicas: usize,
-    /// Servers of the engine that hold each log.
+    /// Number of servers of the engine that hold each log.
     #[serde(default = "three")]
     pub engine_replicas: usize,
     /// This daemon's share of the maps.
     #[serde(default = "one")]
     pub capacity: u32,
-    /// How long a writer may be silent before another daemon takes its place.
+    /// Maximum time that a writer may be silent before another daemon takes its place.
     #[serde(default = "default_lease")]
     pub lease_ms: u64,
-    /// How long a new writer waits for a daemon whose log is longer.
+    /// Maximum time that a new writer waits for a daemon whose log is longer.
     #[serde(default = "default_heal_wait")]
     pub heal_wait_secs: u64,
-    /// How long a follower answers without having heard of the end of the log.
+    /// Maximum time that a follower answers without a message about the end of the log.
     #[serde(default = "default_staleness")]
     pub max_staleness_ms: u64,
-    /// Bytes of records that are sent together.
+    /// Number of bytes of records that are sent together.
     #[serde(default = "default_group")]
     pub group_bytes: usize,
     /// Mebibytes of a log that the engine keeps, also where checkpoints cover them.
@@ -179,13 +179,13 @@ fn check_name(key: &str, name: &str) -> anyhow::Result<()> {
 }
 
 impl ClusterSettings {
-    /// The host by which other daemons reach this one, if they do so over TLS.
+    /// The host by which other daemons reach this one over TLS, if they do.
     pub(crate) fn tls_host(&self) -> Option<String> {
         let uri = self.advertise.parse::<http::Uri>().ok().filter(|uri| uri.scheme() == Some(&Scheme::HTTPS))?;
         Some(uri.host()?.trim_start_matches('[').trim_end_matches(']').to_owned())
     }
 
-    /// Whether other daemons can reach this one, whose gRPC port is at `listen`, with TLS or not.
+    /// Checks that other daemons can reach this one, whose gRPC port is at `listen`, with TLS or not.
     fn check_address(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
         let advertise = &self.advertise;
         if advertise.is_empty()
@@ -216,7 +216,7 @@ impl ClusterSettings {
         Ok(())
     }
 
-    /// A certificate for the engine needs its key, and the other way around.
+    /// Checks that a certificate for the engine comes with its key, and the other way around.
     fn check_tls(&self) -> anyhow::Result<()> {
         for (set, key, other, missing) in [
             (&self.tls_certificate, "tls_certificate", &self.tls_key, "tls_key"),
@@ -230,10 +230,10 @@ impl ClusterSettings {
         Ok(())
     }
 
-    /// Whether the values make sense, for a gRPC port at `listen` with TLS or without.
+    /// Checks that the values are consistent, for a gRPC port at `listen` with TLS or without.
     ///
     /// # Errors
-    /// What is wrong, with the key.
+    /// The problem, with the key.
     pub(crate) fn check(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
         check_name("name", &self.name)?;
         check_name("member", &self.member)?;

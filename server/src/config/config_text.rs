@@ -1,7 +1,7 @@
 //! Settings as a config file: the commented example, and the settings in force.
 //!
-//! Invariant: made of the declaration of the settings, so that it cannot differ from what the daemon takes.
-//! `deploy/tidemapd.toml` is the example, and a test compares them.
+//! Invariant: the text is made from the declaration of the settings, so that it cannot differ from the settings of the
+//! daemon. `deploy/tidemapd.toml` is the example, and a test compares them.
 
 use std::fmt::Write as _;
 
@@ -33,7 +33,8 @@ fn comment(out: &mut String, text: &str) {
     out.push('\n');
 }
 
-/// `key = value` in TOML. A string of JSON is also one of TOML; the settings have no control characters beyond those.
+/// `key = value` in TOML. A JSON string is also a TOML string, because the settings have no control characters except
+/// those that JSON escapes.
 fn assignment(values: &Value, setting: &Setting) -> String {
     let value = values.get(setting.key).cloned().unwrap_or(Value::Null);
     match value.as_u64().filter(|_| setting.key.ends_with("_mode")) {

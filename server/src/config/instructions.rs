@@ -1,17 +1,17 @@
 //! The setting `instruction_set`: which vector instructions the kernels of the models use.
 //!
-//! Invariant: what passes the check can run on this processor.
+//! Invariant: every set that passes the check can run on this processor.
 
 use anyhow::bail;
 use tidemap_model::InstructionSet;
 
-/// Stands for the best that the processor has.
+/// The value for the best set that the processor has.
 pub(super) const BEST: &str = "best";
 
 /// The chosen set; `None`: the best.
 ///
 /// # Errors
-/// No such set, or one that this processor cannot run.
+/// There is no such set, or this processor cannot run it.
 pub(super) fn chosen(setting: &str) -> anyhow::Result<Option<InstructionSet>> {
     if setting == BEST {
         return Ok(None);
@@ -26,10 +26,10 @@ pub(super) fn chosen(setting: &str) -> anyhow::Result<Option<InstructionSet>> {
     Ok(Some(set))
 }
 
-/// Lets the kernels of this process use the chosen set.
+/// Makes the kernels of this process use the chosen set.
 ///
 /// # Errors
-/// As [`chosen`].
+/// See [`chosen`].
 pub(crate) fn apply(setting: &str) -> anyhow::Result<()> {
     if let Some(set) = chosen(setting)? {
         set.choose()?;

@@ -1,4 +1,4 @@
-//! What the program does instead of serving.
+//! The commands that the program runs instead of serving.
 //!
 //! Invariant: no command starts a daemon.
 

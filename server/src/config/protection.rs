@@ -1,10 +1,10 @@
-//! What a port lacks that others than this machine can reach.
+//! The protection that is missing on a port that other machines can reach.
 //!
-//! Invariant: an address that cannot be shown to be this machine's counts as reachable.
+//! Invariant: an address counts as reachable unless it can be shown to be of this machine only.
 
 use std::net::{IpAddr, SocketAddr};
 
-/// What a port beyond this machine lacks.
+/// The missing protection of a port beyond this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum MissingProtection {
     Tls,
@@ -23,7 +23,7 @@ impl std::fmt::Display for MissingProtection {
 }
 
 impl MissingProtection {
-    /// What could happen.
+    /// The risk of the missing protection.
     pub(crate) fn consequence(self) -> &'static str {
         match self {
             Self::Tls => "what is sent, and the tokens, can be read and changed on the way",

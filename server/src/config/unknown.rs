@@ -7,10 +7,10 @@ use figment::error::Kind;
 
 use super::SECTIONS;
 
-/// From this similarity on, 0 to 1 (Jaro and Winkler), one name may be a misspelling of another one.
+/// The similarity (Jaro and Winkler, 0 to 1) from which one name may be a misspelling of another one.
 const ALIKE: f64 = 0.9;
 
-/// Variables of the clients, without their prefix.
+/// Variables of the clients, without the prefix.
 const OF_CLIENTS: [&str; 7] = ["server", "token", "token_file", "password", "tls_ca", "tls_cert", "tls_key"];
 
 /// The known name that is most similar to a name, if one is similar enough.
@@ -23,7 +23,7 @@ fn keys() -> impl Iterator<Item = &'static str> {
     SECTIONS.iter().flat_map(|(_, settings)| settings.iter()).map(|setting| setting.key)
 }
 
-/// An error of the sources of the settings, in words.
+/// The text of an error of the sources of the settings.
 pub(super) fn in_words(error: figment::Error) -> anyhow::Error {
     let Kind::UnknownField(found, fields) = &error.kind else { return anyhow::Error::new(error).context("settings") };
     let source = error.metadata.as_ref().and_then(|metadata| metadata.source.as_ref());
@@ -79,7 +79,8 @@ mod tests {
               TIDEMAP_MAX_STATES_PER_MAP?"]
         );
         assert_eq!(warned("TIDEMAP_MAX_STATES").len(), 1);
-        // Settings, variables of clients, and those that Kubernetes sets for a service of the name tidemap.
+        // These are settings, variables of clients, and variables that Kubernetes sets for a service with the name
+        // tidemap.
         let known = ["TIDEMAP_MAX_MAPS", "TIDEMAP_CONFIG", "TIDEMAP_SERVER", "TIDEMAP_TOKEN_FILE", "TIDEMAP_TLS_CERT"];
         let of_kubernetes = ["TIDEMAP_SERVICE_HOST", "TIDEMAP_PORT_7435_TCP_ADDR", "TIDEMAP_SERVICE_PORT_GRPC"];
         for name in known.into_iter().chain(of_kubernetes).chain(["HOME"]) {

@@ -1,6 +1,6 @@
 //! Wrong values of settings: the message names the key that is wrong.
 //!
-//! Invariant: every key is tried, those of new settings too.
+//! Invariant: every key is tried, including those of new settings.
 
 use super::{Flags, SECTIONS, Setting, tests::load};
 
@@ -8,7 +8,7 @@ use super::{Flags, SECTIONS, Setting, tests::load};
 fn blamed<'a>(message: &str, keys: &[&'a str]) -> Option<&'a str> {
     let is_of_key = |character: char| character.is_ascii_alphanumeric() || "_.".contains(character);
     let mut words = message.split(|character| !is_of_key(character)).map(|word| word.trim_start_matches("default."));
-    // What a value holds is named behind its key, as in `log_format.a`.
+    // A message names a part of a value after its key, as in `log_format.a`.
     let is_within =
         |word: &str, key: &str| word.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
     words.find_map(|word| keys.iter().find(|key| is_within(word, key)).copied())

@@ -1,7 +1,7 @@
 //! Accepts connections and hands them to the server of a port.
 //!
 //! Invariant: an accept that fails never spins: it is logged now and then, a connection makes room, and the next try
-//! comes after a pause. A connection beyond the limits is refused, or comes into the reserve of a port that has one.
+//! comes after a pause. A connection beyond the limits is refused, or goes to the reserve of a port that has one.
 
 use std::{io, time::Duration};
 
@@ -14,10 +14,10 @@ use tracing::{error, warn};
 use super::{Connections, Peer, guard::GuardedConnection, socket::Socket, tls::Tls};
 use crate::telemetry::occasional::Occasional;
 
-/// A connection as a server gets it.
+/// A connection as the server receives it.
 pub(crate) type Accepted = GuardedConnection<Socket>;
 
-/// Connections that wait for the server.
+/// Number of connections that wait for the server.
 const WAITING: usize = 64;
 /// The pause after an accept that failed.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -29,11 +29,11 @@ static REFUSALS: Occasional = Occasional::new();
 #[derive(Debug)]
 pub(crate) struct Acceptor {
     door: Door,
-    /// Where connections go that are beyond the limits of the door.
+    /// The door for connections beyond the limits of the first door.
     reserve: Option<Door>,
 }
 
-/// Connections, and the server that gets them.
+/// Connections, and the channel to the server that receives them.
 #[derive(Clone, Debug)]
 struct Door {
     connections: Connections,
@@ -48,19 +48,19 @@ impl Door {
 }
 
 impl Acceptor {
-    /// An acceptor of a port, and the connections that it accepts.
+    /// Creates an acceptor for a port, and the receiver of the connections that it accepts.
     pub(crate) fn new(connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
         let (door, receiver) = Door::new(connections);
         (Self { door, reserve: None }, receiver)
     }
 
-    /// This acceptor with a reserve, whose connections come from the second receiver.
+    /// Adds a reserve to this acceptor. The connections of the reserve come from the returned receiver.
     pub(crate) fn with_reserve(self, connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
         let (reserve, receiver) = Door::new(connections);
         (Self { reserve: Some(reserve), ..self }, receiver)
     }
 
-    /// Accepts the connections of a listener; a port may have several.
+    /// Accepts the connections of a listener; a port may have several listeners.
     pub(crate) fn listen(&self, listener: Listener) {
         let (door, reserve) = (self.door.clone(), self.reserve.clone());
         crate::task::spawn(async move {
@@ -93,7 +93,7 @@ impl Acceptor {
     }
 }
 
-/// Where connections come from.
+/// The source of connections.
 pub(crate) enum Listener {
     /// A TCP port, with TLS if there is one.
     Tcp(TcpListener, Option<Tls>),

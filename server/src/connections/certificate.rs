@@ -1,7 +1,7 @@
-//! What a certificate of the daemon says of itself: when, for what and for which names it is good, and who signed it.
+//! The content of a certificate of the daemon: its period, its purpose, its host names, and its issuer.
 //!
-//! Invariant: it only refuses what clients would refuse. What is not known here, such as the authorities that clients
-//! trust, is for them to judge.
+//! Invariant: this module refuses only certificates that clients would refuse. Clients judge what is not known here,
+//! such as the authorities that they trust.
 
 use std::{fmt, net::IpAddr};
 
@@ -14,29 +14,29 @@ use tokio_rustls::rustls::{
 };
 use x509_parser::{extensions::GeneralName, prelude::FromDer as _};
 
-/// What is read of a certificate.
+/// The data that is read from a certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Facts {
-    /// The first second in which it is valid, since 1970.
+    /// The first second in which the certificate is valid, since 1970.
     pub from_secs: i64,
-    /// The last second.
+    /// The last second in which it is valid.
     pub until_secs: i64,
-    /// The names and addresses of hosts that it is for, in its order.
+    /// The names and addresses of hosts that the certificate is for, in its order.
     pub names: Vec<String>,
-    /// Why no server may use it, if none may.
+    /// The reason why no server may use the certificate, if none may.
     pub not_for_servers: Option<NotForServers>,
-    /// Its distinguished name, in DER.
+    /// The distinguished name of the certificate, in DER.
     pub subject: Vec<u8>,
-    /// That of its issuer.
+    /// The distinguished name of the issuer, in DER.
     pub issuer: Vec<u8>,
 }
 
-/// Why no server may use a certificate.
+/// The reason why no server may use a certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NotForServers {
-    /// Its extended key usage names other uses.
+    /// The extended key usage names other uses.
     Purpose,
-    /// Its key usage does not allow signatures, which TLS 1.3 needs.
+    /// The key usage does not allow signatures, which TLS 1.3 needs.
     Signature,
 }
 
@@ -49,7 +49,7 @@ impl fmt::Display for NotForServers {
     }
 }
 
-/// Reads a certificate; `None`: it is none.
+/// Reads a certificate; `None`: the bytes are no certificate.
 pub(super) fn facts(certificate: &[u8]) -> Option<Facts> {
     let (_, read) = x509_parser::certificate::X509Certificate::from_der(certificate).ok()?;
     let names = read.subject_alternative_name().ok()?.map(|found| found.value.general_names.iter().filter_map(host));
@@ -83,13 +83,13 @@ fn host(name: &GeneralName<'_>) -> Option<String> {
 }
 
 impl Facts {
-    /// Whether it is signed by its own key, or by one of the same name.
+    /// Whether the certificate is signed by its own key, or by a key of the same name.
     pub(super) fn is_self_issued(&self) -> bool {
         self.subject == self.issuer
     }
 }
 
-/// Whether a certificate is for a host. A text that is no name of a host is one that nobody asks for.
+/// Whether a certificate is for a host. A text that is no name of a host is used by no client.
 pub(super) fn is_for(certificate: &CertificateDer<'_>, host: &str) -> bool {
     let (Ok(parsed), Ok(name)) = (ParsedCertificate::try_from(certificate), ServerName::try_from(host)) else {
         return false;
@@ -97,7 +97,8 @@ pub(super) fn is_for(certificate: &CertificateDer<'_>, host: &str) -> bool {
     verify_server_name(&parsed, &name).is_ok()
 }
 
-/// Whether one of the certificates behind the first in a file has signed it. `at_secs`: a time at which it is valid.
+/// Whether one of the certificates after the first in a file has signed the first. `at_secs`: a time at which it is
+/// valid.
 pub(super) fn is_signed_within(chain: &[CertificateDer<'static>], at_secs: i64) -> bool {
     let Some((own, others)) = chain.split_first() else { return false };
     let Ok(parsed) = ParsedCertificate::try_from(own) else { return false };
@@ -106,7 +107,7 @@ pub(super) fn is_signed_within(chain: &[CertificateDer<'static>], at_secs: i64) 
     let at = UnixTime::since_unix_epoch(std::time::Duration::from_secs(at_secs.max(0).unsigned_abs()));
     let algorithms = ring::default_provider().signature_verification_algorithms.all;
     let checked = verify_server_cert_signed_by_trust_anchor(&parsed, &issuers, others, at, algorithms);
-    // Other errors, such as of an algorithm that is not known here, may be none to a client.
+    // Other errors, for example about an algorithm that is not known here, may be no error for a client.
     !matches!(checked, Err(Error::InvalidCertificate(CertificateError::UnknownIssuer | CertificateError::BadSignature)))
 }
 
@@ -116,7 +117,7 @@ mod tests {
 
     #[test]
     fn what_is_no_certificate_has_no_facts() {
-        // The beginning of a certificate, and bytes that are none.
+        // These are the beginning of a certificate, and bytes that are no certificate.
         for bytes in [&b""[..], b"\x30", b"\x30\x82\x01\x00\x30\x03\x02\x01\x01", &[0xff; 300]] {
             assert_eq!(facts(bytes), None);
             assert!(!is_for(&CertificateDer::from(bytes), "localhost"));

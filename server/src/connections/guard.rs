@@ -2,8 +2,8 @@
 //! when nobody reads its reply.
 //!
 //! Invariant: the guard changes no byte. The daemon closes no connection with bytes of the client on their way, because
-//! the client could then lose what it was told last: after its own end, the daemon reads on for [`LINGER`] and
-//! [`LINGER_BYTES`] at most.
+//! the client could then lose the last bytes that were sent to it: after its own end, the daemon reads on for
+//! [`LINGER`] and [`LINGER_BYTES`] at most.
 
 use std::{
     io,
@@ -27,9 +27,9 @@ use crate::telemetry::occasional::Occasional;
 
 static UNREAD: Occasional = Occasional::new();
 
-/// So many bytes are read and ignored meanwhile, a few at a time, because others wait.
+/// Maximum number of bytes that are read and ignored meanwhile, a few at a time, because others wait.
 const LINGER_BYTES: usize = 64 << 10;
-/// The other end closes its side within this time after the daemon has closed its own.
+/// Maximum time for the other end to close its side after the daemon has closed its own.
 const LINGER: Duration = Duration::from_secs(1);
 
 /// A connection and its slot.
@@ -37,11 +37,11 @@ const LINGER: Duration = Duration::from_secs(1);
 pub(crate) struct GuardedConnection<S> {
     socket: S,
     slot: ConnectionSlot,
-    /// The deadline of the first request; of the reserve for probes, that of the connection.
+    /// The deadline of the first request; in the reserve for probes, the deadline of the connection.
     deadline: Option<Pin<Box<Sleep>>>,
-    /// Until when the end of the other side is waited for, and the bytes that were ignored.
+    /// The deadline of the wait for the other side's end, and the number of ignored bytes.
     linger: Option<(Pin<Box<Sleep>>, usize)>,
-    /// How long the client takes nothing of its reply.
+    /// The pauses in which the client takes nothing of its reply.
     stall: Stall,
 }
 
@@ -51,7 +51,7 @@ impl<S> GuardedConnection<S> {
         Self { socket, slot, deadline, linger: None, stall: Stall::default() }
     }
 
-    /// The other end.
+    /// The other end of the connection.
     pub(crate) fn remote(&self) -> Remote {
         self.slot.remote()
     }
@@ -83,8 +83,8 @@ impl<S> GuardedConnection<S> {
         })
     }
 
-    /// What a write has come to; a client of the HTTP port that takes nothing is waited for a bounded time, and makes
-    /// room meanwhile. `bytes`: how many it took.
+    /// Watches the result of a write. The wait for a client of the HTTP port that takes nothing is bounded, and the
+    /// connection may make room meanwhile. `bytes` returns how many bytes the client took.
     fn watch_reader<T>(
         &mut self,
         context: &mut Context<'_>,

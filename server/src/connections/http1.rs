@@ -1,8 +1,8 @@
 //! Serves the connections of the HTTP port, by HTTP/1.1 alone.
 //!
-//! Invariant: a connection works on one request at a time, and holds at most [`BUFFER_BYTES`] of what arrives and
-//! about as much of what leaves. HTTP/2 would let one connection hold many replies; browsers do not speak it in clear,
-//! gRPC-Web does not need it, and gRPC has its own port.
+//! Invariant: a connection works on one request at a time, and holds at most [`BUFFER_BYTES`] of the incoming data and
+//! about as much of the outgoing data. HTTP/2 would let one connection hold many replies; browsers do not use it
+//! without TLS, gRPC-Web does not need it, and gRPC has its own port.
 
 use std::{convert::Infallible, io, pin::pin, time::Duration};
 
@@ -19,9 +19,9 @@ use tracing::info;
 use super::accept::Accepted;
 use crate::telemetry::occasional::Occasional;
 
-/// The head of a request must arrive within this time, and a connection may be idle for so long.
+/// Maximum time for the head of a request to arrive, and for which a connection may be idle.
 const HEAD_WITHIN: Duration = Duration::from_secs(30);
-/// Bytes of a request that are not read yet. The head of a request fits into them.
+/// Number of bytes of a request that are not read yet. The head of a request fits into them.
 const BUFFER_BYTES: usize = 16 << 10;
 
 static OTHER_VERSIONS: Occasional = Occasional::new();

@@ -1,7 +1,7 @@
-//! How long a client takes nothing of what is sent to it.
+//! The time for which a client takes nothing of the data that is sent to it.
 //!
-//! Invariant: a client that takes nothing for [`UNREAD_FOR`], all its pauses together, has stalled. Bytes that it takes
-//! give it time back, so that a slow link is no stall.
+//! Invariant: a client that takes nothing for [`UNREAD_FOR`], in all its pauses together, has stalled. Bytes that the
+//! client takes reduce this time, so that a slow link is no stall.
 
 use std::{
     pin::Pin,
@@ -11,22 +11,22 @@ use std::{
 
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// The time to take what was sent.
+/// Maximum time for a client to take the data that was sent.
 pub(super) const UNREAD_FOR: Duration = Duration::from_secs(30);
-/// So many bytes give one second back.
+/// Number of bytes that reduce the time by one second.
 const BYTES_PER_SEC: u32 = 16 << 10;
 
 /// The pauses of a client.
 #[derive(Debug, Default)]
 pub(super) struct Stall {
-    /// Its pauses so far, less what it got back.
+    /// The sum of the pauses so far, minus the time for the bytes that were taken.
     paused: Duration,
-    /// The pause that lasts: its beginning, and when it is too long.
+    /// The present pause: its beginning, and when it is too long.
     now: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
 impl Stall {
-    /// Notes that the client took bytes.
+    /// Records that the client took bytes.
     pub(super) fn note_taken(&mut self, bytes: usize) {
         if let Some((began, _)) = self.now.take() {
             self.paused += began.elapsed();
@@ -35,7 +35,8 @@ impl Stall {
         self.paused = self.paused.saturating_sub(back);
     }
 
-    /// Notes that the client takes nothing now: ready when it has stalled, and otherwise woken when it has.
+    /// Records that the client takes nothing now. Ready when the client has stalled; otherwise the task is woken when
+    /// it has.
     pub(super) fn poll_stalled(&mut self, context: &mut Context<'_>) -> Poll<()> {
         let (_, until) = self.now.get_or_insert_with(|| {
             let began = Instant::now();
@@ -44,7 +45,7 @@ impl Stall {
         until.as_mut().poll(context)
     }
 
-    /// When the pause that lasts began.
+    /// The beginning of the present pause.
     pub(super) fn began(&self) -> Option<Instant> {
         self.now.as_ref().map(|(began, _)| *began)
     }

@@ -1,4 +1,4 @@
-//! Who makes room, when the bounds of connections are reached, and how long a connection may make no request.
+//! Tests of which connection makes room when the bounds are reached, and how long a connection may make no request.
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
@@ -100,12 +100,12 @@ fn each_connection_of_the_reserve_makes_room_for_the_next() {
     assert!(is_displaced(&second) && !is_displaced(&third));
 }
 
-/// A connection with some bytes to read, and after what time reading it first fails; `None`: never.
+/// A connection with some bytes to read, and the time after which reading it first fails; `None`: never.
 async fn reading_fails_after(port: Port, makes_request: bool) -> Option<Duration> {
     let slot = connections(port, 2, 2).admit(address(1)).expect("room");
     let (socket, mut client) = tokio::io::duplex(64);
     let mut guarded = GuardedConnection::new(socket, slot);
-    // Bytes are no request: the layers of the services say what is.
+    // Bytes are no request: the layers of the services report requests.
     client.write_all(b"PRI * HTTP/2.0").await.expect("room");
     guarded.read_exact(&mut [0; 14]).await.expect("what was sent");
     if makes_request {

@@ -2,9 +2,9 @@
 //! the client.
 //!
 //! Invariant: the handshake is driven by the first read or write, so that the deadline of a connection's first request
-//! covers it. A certificate that cannot be used, or that clients would not take now, never takes the place of one that
-//! can. Errors name files, and never hold what is in them. A client whose handshake fails is told why: the daemon does
-//! not break a connection with bytes of the client on their way before the client has read the alert.
+//! covers it. A certificate that cannot be used, or that clients would not take now, never replaces a usable one.
+//! Errors name files, and never contain the content of a file. A client whose handshake fails receives the reason: the
+//! daemon does not break a connection with bytes of the client on their way before the client has read the alert.
 
 use std::{
     fmt,
@@ -46,7 +46,7 @@ use crate::{
     telemetry::occasional::Occasional,
 };
 
-/// Which protocol a port speaks.
+/// The protocol of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Protocol {
     /// HTTP/2 with prior knowledge, as gRPC.
@@ -55,30 +55,30 @@ pub(crate) enum Protocol {
     Http1,
 }
 
-/// What a connection of the HTTP port keeps of a reply that is not read.
+/// Maximum number of bytes that a connection of the HTTP port keeps of a reply that is not read.
 const HTTP_BUFFER_BYTES: usize = 16 << 10;
 
 static FAILURES: Occasional = Occasional::new();
 
-/// After the alert of a handshake that failed, the client closes its side within this time.
+/// Maximum time for the client to close its side after the alert of a handshake that failed.
 const REFUSED_LINGER: Duration = Duration::from_secs(1);
-/// So many bytes of it are read and ignored meanwhile.
+/// Maximum number of bytes of the client that are read and ignored meanwhile.
 const REFUSED_BYTES: usize = 64 << 10;
 
 /// The files of the daemon's TLS, in PEM form.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TlsFiles {
-    /// The daemon's certificate, followed by those of the authorities between it and the root.
+    /// The daemon's certificate, followed by the certificates of the authorities between it and the root.
     pub certificate: PathBuf,
     /// The private key of the daemon's certificate.
     pub key: PathBuf,
-    /// Authorities of clients; if named, each client must present a certificate of one of them.
+    /// Authorities of clients; if set, each client must present a certificate of one of them.
     pub client_ca: Option<PathBuf>,
     /// The host by which other daemons reach this one over TLS, if there are any.
     pub advertised: Option<String>,
 }
 
-/// Why files of TLS cannot be used.
+/// The reason why files of TLS cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TlsError {
     #[error("setting {setting}: {} cannot be read: {source}", .path.display())]
@@ -140,13 +140,13 @@ pub(crate) enum TlsError {
     ClientCa { path: PathBuf, reason: String },
 }
 
-/// A time in seconds since 1970, for people.
+/// A time in seconds since 1970, as text for people.
 fn shown(secs: i64) -> String {
     format_rfc3339(secs.saturating_mul(1_000_000_000))
 }
 
 impl TlsFiles {
-    /// The files, to be followed.
+    /// The files, whose changes are followed.
     pub(crate) fn paths(&self) -> Vec<PathBuf> {
         [&self.certificate, &self.key].into_iter().chain(&self.client_ca).cloned().collect()
     }
@@ -158,7 +158,8 @@ impl TlsFiles {
         found.ok().filter(|found| !found.is_empty()).ok_or_else(missing)
     }
 
-    /// Tells by when the daemon's certificate has to be replaced: when it, or one behind it in the file, ends.
+    /// Sets the metric of the time by which the daemon's certificate has to be replaced: when it, or one after it in
+    /// the file, ends.
     fn tell_end(chain: &[CertificateDer<'static>]) {
         let ends = chain.iter().filter_map(|known| certificate::facts(known)).map(|facts| facts.until_secs);
         if let Some(ends_secs) = ends.min() {
@@ -166,7 +167,8 @@ impl TlsFiles {
         }
     }
 
-    /// Whether clients can take the daemon's own certificate now. Those behind it in the file may not be needed.
+    /// Whether clients can accept the daemon's own certificate now. The certificates after it in the file may not be
+    /// needed.
     fn check_dates(&self, own: &Facts) -> Result<(), TlsError> {
         let now_secs = SystemClock.now_nanos().div_euclid(1_000_000_000);
         let (path, from_secs, until_secs) = (|| self.certificate.clone(), own.from_secs, own.until_secs);
@@ -179,8 +181,8 @@ impl TlsFiles {
         Ok(())
     }
 
-    /// Whether clients can take the daemon's own certificate at all: for servers, for the daemon's names, and with
-    /// those of its issuers. `before`: what it replaces.
+    /// Whether clients can accept the daemon's own certificate at all: for servers, for the daemon's names, and with
+    /// the certificates of its issuers. `before` is the certificate that it replaces.
     fn check_use(
         &self,
         own: &Facts,
@@ -211,7 +213,7 @@ impl TlsFiles {
         Ok(())
     }
 
-    /// The private key's file, if it is not open to everybody. Groups of users that may read keys are usual.
+    /// Reads the private key's file, if it is not open to everybody. Groups of users that may read keys are usual.
     fn key_file(&self) -> Result<Vec<u8>, TlsError> {
         let unreadable = |source| TlsError::Read { setting: "tls_key", path: self.key.clone(), source };
         let mut file = File::open(&self.key).map_err(unreadable)?;
@@ -229,9 +231,9 @@ impl TlsFiles {
         Ok(text)
     }
 
-    /// What the files hold, which replaces what is in use, if there is any. A certificate that is not valid yet is
-    /// taken only at the start: a clock that is wrong then is often set right a little later, and there is no other
-    /// certificate.
+    /// Loads the content of the files, which replaces the certificate in use, if there is any. A certificate that is
+    /// not valid yet is taken only at the start: a clock that is wrong then is often set right a little later, and
+    /// there is no other certificate.
     fn load(&self, protocol: Protocol, before: Option<&InUse>) -> Result<InUse, TlsError> {
         let chain = Self::certificates("tls_certificate", &self.certificate)?;
         let own = chain.first().and_then(|own| certificate::facts(own));
@@ -268,7 +270,7 @@ impl TlsFiles {
         let provider = Arc::new(ring::default_provider());
         let builder = ServerConfig::builder_with_provider(Arc::clone(&provider)).with_protocol_versions(&[&TLS13]);
         let builder = builder.map_err(TlsError::Pair)?;
-        // Health and metrics are asked for by programs that have no certificate.
+        // Programs that read health and metrics have no certificate.
         let builder = match self.client_ca.as_ref().filter(|_| protocol == Protocol::Http2) {
             None => builder.with_no_client_auth(),
             Some(path) => {
@@ -300,12 +302,12 @@ struct InUse {
     config: Arc<ServerConfig>,
     first: Option<CertificateDer<'static>>,
     own: Facts,
-    /// The names of the certificates behind it, in DER.
+    /// The names of the certificates after the own one, in DER.
     issuers: Vec<Vec<u8>>,
 }
 
 impl InUse {
-    /// Those of its names that another certificate is for as well: word by word, or by a wildcard of either.
+    /// The names that another certificate is for as well: word by word, or by a wildcard of either.
     fn names_kept<'a>(
         &'a self,
         next: &'a Facts,
@@ -345,10 +347,10 @@ impl fmt::Debug for Tls {
 }
 
 impl Tls {
-    /// The TLS of a port.
+    /// Creates the TLS of a port.
     ///
     /// # Errors
-    /// A file that cannot be used.
+    /// A file cannot be used.
     pub(crate) fn new(files: TlsFiles, protocol: Protocol) -> Result<Self, TlsError> {
         let in_use = Arc::new(ArcSwap::from_pointee(files.load(protocol, None)?));
         Ok(Self { files: Arc::new(files), protocol, in_use })
@@ -357,14 +359,14 @@ impl Tls {
     /// Reads the files again. New connections use them; open ones are not touched.
     ///
     /// # Errors
-    /// A file that cannot be used; what was in use before stays.
+    /// A file cannot be used; the files that were in use before stay in use.
     pub(crate) fn reload(&self) -> Result<(), TlsError> {
         let before = self.in_use.load_full();
         self.in_use.store(Arc::new(self.files.load(self.protocol, Some(&before))?));
         Ok(())
     }
 
-    /// A connection whose handshake begins with its first use.
+    /// A connection whose handshake begins when it is first used.
     pub(crate) fn accept(&self, socket: TcpStream, peer: SocketAddr) -> TlsSocket {
         let acceptor = TlsAcceptor::from(Arc::clone(&self.in_use.load().config));
         let accept = match self.protocol {
@@ -386,12 +388,12 @@ pub(crate) struct TlsSocket {
 enum Stage {
     Handshake(FallibleAccept<TcpStream>),
     Open(TlsStream<TcpStream>),
-    /// The handshake failed, and the client reads the alert.
+    /// The handshake failed, and the client has to read the alert.
     Refused(RefusedClient),
     Failed,
 }
 
-/// A connection whose handshake failed, until the client has read why.
+/// A connection whose handshake failed, until the client has read the reason.
 struct RefusedClient {
     socket: TcpStream,
     error: io::Error,
@@ -400,10 +402,10 @@ struct RefusedClient {
 }
 
 impl RefusedClient {
-    /// Ends the daemon's side, and ignores what the client sends until it ends its own: a client of TLS 1.3 believes
-    /// that the handshake is over, and has sent its first request. Gives the error of the handshake.
+    /// Ends the daemon's side, and ignores the bytes of the client until it ends its own side: a client of TLS 1.3
+    /// assumes that the handshake is over, and has sent its first request. Returns the error of the handshake.
     fn poll_end(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
-        // One that is closed already has nothing to end.
+        // A connection that is closed already has nothing to end.
         let _ = ready!(Pin::new(&mut self.socket).poll_shutdown(context));
         let mut bytes = [0; 8192];
         while self.ignored < REFUSED_BYTES && self.until.as_mut().poll(context).is_pending() {
@@ -490,7 +492,7 @@ impl AsyncWrite for TlsSocket {
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         match &mut self.stage {
             Stage::Open(stream) => Pin::new(stream).poll_shutdown(context),
-            // Nothing was said yet that has to be ended.
+            // Nothing was sent yet that has to be ended.
             Stage::Handshake(_) | Stage::Refused(_) | Stage::Failed => Poll::Ready(Ok(())),
         }
     }

@@ -1,8 +1,9 @@
 //! Replies of the HTTP port that their readers have not taken yet.
 //!
-//! Invariant: their bytes are bounded, of one client and in all, whoever made them. A connection gets a reply piece by
-//! piece, so that what is not yet taken is counted here, and not kept elsewhere. Where there is no room, the oldest
-//! reply of the client that holds the most ends. Content that all readers share takes no memory and is not counted.
+//! Invariant: the bytes of these replies are bounded, per client and in total, whatever makes them. A connection gets a
+//! reply piece by piece, so that the bytes that are not yet taken are counted here, and not kept elsewhere. Where there
+//! is no room, the oldest reply of the client that holds the most ends. Content that all readers share takes no memory
+//! and is not counted.
 
 use std::{
     collections::BTreeMap,
@@ -21,19 +22,20 @@ use tracing::info;
 use super::{Busy, Peer, Remote};
 use crate::telemetry::occasional::Occasional;
 
-/// A connection gets so many bytes at a time. A reply, or a message of one, that is no larger is not counted.
+/// Number of bytes that a connection gets at a time. A reply, or a message of a reply, that is no larger is not
+/// counted.
 const PIECE_BYTES: usize = 16 << 10;
-/// Bounds of the bytes that are not taken yet.
+/// Maximum number of bytes that are not taken yet.
 const UNREAD_BYTES: usize = 12 << 20;
 const UNREAD_BYTES_PER_CLIENT: usize = 4 << 20;
 
 static ENDED: Occasional = Occasional::new();
 
-/// Marks a response, by an extension, whose content is the same bytes for all readers.
+/// An extension that marks a response whose content is the same bytes for all readers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SharedContent;
 
-/// There is no room for a reply.
+/// The error of a reply that there is no room for.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error(
     "replies of so many bytes are not read yet that there is no room for this one: read the others first, or try again"
@@ -54,12 +56,12 @@ struct Held {
 #[derive(Debug)]
 struct Reply {
     remote: Remote,
-    /// One that is larger than the bound of a client counts as much as that.
+    /// The counted bytes. A reply that is larger than the bound of a client counts as much as the bound.
     counted: usize,
     is_oversize: bool,
 }
 
-/// A reply that is counted until this is dropped.
+/// A reply that is counted until it is dropped.
 #[derive(Debug)]
 struct CountedReply {
     number: u64,
@@ -78,13 +80,13 @@ impl Held {
         self.replies.values().filter(of_peer).map(|reply| reply.counted).sum()
     }
 
-    /// The client that holds the most, and how much.
+    /// The number of bytes of the client that holds the most, and this client.
     fn largest(&self) -> Option<(usize, Peer)> {
         let of_each = self.replies.values().map(|reply| reply.remote.peer());
         of_each.map(|peer| (self.bytes(Some(peer)), peer)).max_by_key(|(bytes, _)| *bytes)
     }
 
-    /// Ends the oldest reply of a client. What it held is free a moment later.
+    /// Ends the oldest reply of a client. Its bytes are free a moment later.
     fn end_oldest(&mut self, peer: Peer) {
         let oldest = self.replies.iter().find(|(_, reply)| reply.remote.peer() == peer).map(|(number, _)| *number);
         if let Some(reply) = oldest.and_then(|number| self.replies.remove(&number)) {
@@ -93,7 +95,7 @@ impl Held {
         }
     }
 
-    /// Makes room for a reply of a client. `false`: there is none.
+    /// Makes room for a reply of a client. Returns `false` if there is none.
     fn make_room(&mut self, peer: Peer, counted: usize, is_oversize: bool) -> bool {
         let of_peer = self.bytes(Some(peer));
         if of_peer > 0 && of_peer + counted > UNREAD_BYTES_PER_CLIENT
@@ -134,7 +136,7 @@ impl UnreadReplies {
         Ok(CountedReply { number, unread: self.clone() })
     }
 
-    /// A response whose bytes are counted until they are taken, and whose connection is busy until then.
+    /// Returns a response whose bytes are counted until they are taken, and whose connection is busy until then.
     ///
     /// # Errors
     /// There is no room for a response whose length is known.
@@ -153,7 +155,7 @@ impl UnreadReplies {
 /// A body that is handed over in pieces.
 struct PiecewiseBody {
     inner: Body,
-    /// What is left of the last frame.
+    /// The rest of the last frame.
     rest: Bytes,
     taken: Option<CountedReply>,
     is_shared: bool,
@@ -168,7 +170,7 @@ impl PiecewiseBody {
         if self.is_shared {
             return piece;
         }
-        // A part of a large reply would keep all of it.
+        // A slice of a large reply would keep all of it in memory.
         let piece = Bytes::copy_from_slice(&piece);
         if self.rest.is_empty() {
             self.rest = Bytes::new();

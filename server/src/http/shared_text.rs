@@ -1,7 +1,7 @@
-//! A text that takes work to make, for all who ask for it at the same time.
+//! A text that takes work to make, for all callers that request it at the same time.
 //!
-//! Invariant: who asks gets a text that was begun after the question. One is made at a time, also when those who asked
-//! are gone, and making them takes at most a quarter of the time, however many ask.
+//! Invariant: a caller gets a text whose making began after the request. One text is made at a time, also when its
+//! callers are gone, and making texts takes at most a quarter of the time, however many callers there are.
 
 use std::{sync::Arc, time::Duration};
 
@@ -10,7 +10,7 @@ use tokio::{sync::Mutex, time::Instant};
 
 use crate::task::NoResult;
 
-/// After a text comes a pause of so many times what its making took.
+/// The pause after a text, as a multiple of the time for which it was made.
 const PAUSES: u32 = 3;
 const PAUSE_MAX: Duration = Duration::from_secs(1);
 
@@ -21,14 +21,14 @@ pub(super) struct SharedText(Arc<Mutex<Option<Made>>>);
 #[derive(Debug)]
 struct Made {
     began: Instant,
-    /// The next one is not made before.
+    /// The next text is not made before this time.
     next: Instant,
     text: Bytes,
 }
 
 impl SharedText {
-    /// A text that is made from now on. `gather` collects what is needed, and `write` works off the threads that
-    /// answer.
+    /// Returns a text that is made from now on. `gather` collects the data for it, and `write` works off the threads
+    /// that answer.
     ///
     /// # Errors
     /// The work ended without a result.
@@ -40,7 +40,7 @@ impl SharedText {
     {
         let asked = Instant::now();
         let last = Arc::clone(&self.0);
-        // A task of its own: work that was begun has the lock until it ends.
+        // The task is separate: work that was begun has the lock until it ends.
         let made = crate::task::spawn(async move {
             let mut last = last.lock_owned().await;
             if let Some(made) = last.as_ref() {

@@ -9,8 +9,9 @@ use crate::ingest::protocol::RefusedObservation;
 /// Maximum number of refusals of one message: less than 1 MB; clients accept 4 MiB.
 const REFUSALS_MAX: usize = 1000;
 
-/// The messages that acknowledge up to `durable`, after `before`, at a position of the log. All but the last repeat the
-/// old number, so that a client which receives only some of them does not take refused observations for accepted.
+/// The messages that acknowledge the sequence numbers after `before` up to `durable`, at a log position. All messages
+/// but the last repeat the old number, so that a client that receives only some of them does not take refused
+/// observations for accepted.
 pub(super) fn acks(
     (before, durable): (u64, u64),
     refused: Vec<RefusedObservation>,

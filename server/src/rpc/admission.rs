@@ -1,7 +1,8 @@
-//! Admission: who may ask, how many requests are under way, of one client and in total, and how they may arrive.
+//! Admission: which callers may send requests, how many requests are under way per client and in total, and how they
+//! may arrive.
 //!
-//! Invariant: a request that is not allowed, or beyond a bound, is refused at once, before anything of it is read, and
-//! holds nothing. What is admitted counts until its last reply is sent or its client is gone.
+//! Invariant: a request that is not allowed, or exceeds a bound, is refused at once, before any of it is read, and
+//! holds no resources. An admitted request counts until its last reply is sent or its client is gone.
 
 use std::{
     convert::Infallible,
@@ -41,7 +42,7 @@ use arriving::ArrivingBody;
 const WATCH_ANOMALIES: &str = "/tidemap.v1.QueryService/WatchAnomalies";
 const WATCH_HEALTH: &str = "/grpc.health.v1.Health/Watch";
 
-/// Requests of many messages: each message must arrive in time, and is bounded by itself.
+/// Methods whose requests have many messages: each message must arrive in time, and has its own size bound.
 const STREAMED: [&str; 3] = [
     "/tidemap.v1.QueryService/EvaluateStates",
     "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
@@ -50,27 +51,27 @@ const STREAMED: [&str; 3] = [
 
 static DENIALS: Occasional = Occasional::new();
 
-/// What the requests of all ports hold. Clones share it.
+/// The shares that the requests of all ports take from. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Admission {
     shares: Shares,
-    /// What other daemons prove themselves by, where this one is a member of a cluster.
+    /// The secret by which other daemons prove who they are, if this daemon is a member of a cluster.
     peers: Option<PeerSecret>,
 }
 
 impl Admission {
-    /// Requests take of these shares.
+    /// Creates an admission whose requests take from these shares.
     pub(crate) fn new(shares: Shares, peers: Option<PeerSecret>) -> Self {
         Self { shares, peers }
     }
 
-    /// A service for callers with this access.
+    /// Returns a service for callers with this access.
     pub(crate) fn service<S>(&self, inner: S, access: Access) -> AdmittedService<S> {
         AdmittedService { inner, access, shares: self.shares.clone(), peers: self.peers.clone() }
     }
 }
 
-/// Notes that a client may not ask something.
+/// Logs and counts a request that a client is not allowed to make.
 pub(crate) fn note_denial(peer: Peer, method: &str, error: &RpcError) {
     let reason = error.code_and_reason().1;
     if let Some(left_out) = DENIALS.next() {
@@ -79,7 +80,7 @@ pub(crate) fn note_denial(peer: Peer, method: &str, error: &RpcError) {
     metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
 }
 
-/// A request that was admitted: what it holds is free when all clones are dropped.
+/// An admitted request. The resources that it holds are freed when all clones are dropped.
 #[derive(Clone, Debug)]
 pub(crate) struct Admitted {
     caller: Caller,
@@ -88,7 +89,7 @@ pub(crate) struct Admitted {
 }
 
 impl Admitted {
-    /// Who asks.
+    /// The caller of the request.
     pub(crate) fn caller(&self) -> &Caller {
         &self.caller
     }
@@ -104,16 +105,17 @@ pub(crate) struct AdmittedService<S> {
 }
 
 impl<S> AdmittedService<S> {
-    /// What it serves, for work in [`AdmittedService::answer`].
+    /// The inner service, for work in [`AdmittedService::answer`].
     pub(crate) fn inner(&self) -> &S {
         &self.inner
     }
 
-    /// Does work that answers a request as a call of a method would, without a message of the wire: the caller may call
-    /// the method, and the request counts and is measured as a call of it. `path`: of the method.
+    /// Does work that answers a request like a call of a method, but without a wire message: the caller must be allowed
+    /// to call the method, and the request is counted and measured as a call of it. `path` is the path of the method.
     ///
     /// # Errors
-    /// Of the work; or the caller may not ask this, too many requests are under way, or the token was revoked.
+    /// The error of the work; or the caller may not call the method, too many requests are under way, or the token was
+    /// revoked.
     pub(crate) async fn answer<T>(
         &self,
         path: &'static str,
@@ -139,7 +141,7 @@ impl<S> AdmittedService<S> {
     /// Admits a request by its head. The service takes the answer from the extensions of a request that has one.
     ///
     /// # Errors
-    /// The caller may not ask this, or too many requests are under way.
+    /// The caller may not call this method, or too many requests are under way.
     pub(crate) fn admit(
         &self,
         path: &str,
@@ -156,7 +158,7 @@ impl<S> AdmittedService<S> {
         })?;
         let is_stranger = need(path) == Some(Need::Open) && !matches!(caller, Caller::Holder(_));
         let share = match method {
-            // They have bounds of their own, and streams take their requests when they like.
+            // Both have bounds of their own, and a stream reads its messages at its own pace.
             OBSERVE | WATCH_ANOMALIES => None,
             WATCH_HEALTH => Some(Share::HealthWatches),
             _ if is_stranger => Some(Share::Open),
@@ -168,11 +170,11 @@ impl<S> AdmittedService<S> {
         Ok(Admitted { caller, client, _held: Arc::new((taken, busy)) })
     }
 
-    /// Reads the whole body of a request that was admitted, with what it holds of the bytes of large requests. `None`:
-    /// it has more than `max` bytes, or broke off.
+    /// Reads the whole body of an admitted request, with the room that it holds of the bytes of large requests. Returns
+    /// `None` if the body has more than `max` bytes or broke off.
     ///
     /// # Errors
-    /// It does not arrive in time, or there is no room.
+    /// The body does not arrive in time, or there is no room.
     pub(crate) async fn read_all(
         &self,
         admitted: &Admitted,
@@ -182,10 +184,10 @@ impl<S> AdmittedService<S> {
         ArrivingBody::new(Body::new(body), false, admitted.client.clone(), self.shares.clone()).read_all(max).await
     }
 
-    /// Room for a large request as JSON.
+    /// Reserves room for a large request as JSON.
     ///
     /// # Errors
-    /// There is none.
+    /// There is no room.
     pub(crate) fn large_json(&self, admitted: &Admitted) -> Result<Taken, ShareFull> {
         self.shares.take(Share::LargeJson, &admitted.client, 1)
     }
@@ -221,7 +223,7 @@ where
         }
         request.extensions_mut().insert(admitted.caller.clone());
         request.extensions_mut().insert(admitted.client.clone());
-        // The metrics do not count what lasts.
+        // The metrics do not count calls that last.
         let lasts = matches!(method, OBSERVE | WATCH_ANOMALIES | WATCH_HEALTH);
         let span = Span::of_request(request.headers(), method);
         let answer = span.clone().scope(self.inner.call(request));
@@ -234,10 +236,10 @@ where
     }
 }
 
-/// How a request ended: its code and its duration go to the metrics when it is dropped, and its span ends.
+/// The end of a request. When it is dropped, its code and its duration go to the metrics, and its span ends.
 #[derive(Debug)]
 struct RequestEnd {
-    /// For the metrics; `None`: they do not count it.
+    /// The method for the metrics; `None`: the metrics do not count the request.
     method: Option<&'static str>,
     began: Instant,
     /// `None`: the client left before the end.

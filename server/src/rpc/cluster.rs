@@ -1,4 +1,4 @@
-//! `ClusterService`: what this daemon knows of its cluster, and what operators ask of it.
+//! `ClusterService`: the state of the cluster as this daemon has it, and the operations of operators.
 //!
 //! Invariant: a caller is shown only maps that its token is for.
 
@@ -39,11 +39,11 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct ClusterCalls {
     pub catalog: Arc<Catalog>,
-    /// For what reads a log.
+    /// Permits for requests that read a log.
     pub(super) permits: Permits,
 }
 
-/// An age in nanoseconds.
+/// Converts an age to nanoseconds.
 fn nanos(age: Duration) -> i64 {
     i64::try_from(age.as_nanos()).unwrap_or(i64::MAX)
 }
@@ -126,7 +126,7 @@ impl ClusterCalls {
         crate::task::blocking(read).await.map_err(|_| stopping())?
     }
 
-    /// A map with what this daemon is to it.
+    /// Encodes a map with the role of this daemon for it.
     async fn map_to_wire(&self, cluster: &Cluster, listed: ListedMap, now: Instant) -> v1::ClusterMapStatus {
         let mut replica =
             listed.uid.and_then(|uid| cluster.replica_status(uid)).map(|status| replica_to_wire(status, now));
@@ -196,7 +196,7 @@ impl ClusterService for ClusterCalls {
             if asks_engine && let Some(uid) = uid {
                 match cluster.log_health(uid).await {
                     Ok(health) => wire.log = Some(log_to_wire(health)),
-                    // The others would wait as long.
+                    // Requests for the other maps would wait as long.
                     Err(error) => {
                         reply.engine_trouble = error.to_string();
                         asks_engine = false;
@@ -222,7 +222,7 @@ impl ClusterService for ClusterCalls {
         let cluster = self.cluster()?;
         let (handle, uid) = self.held(&map).await?;
         let log = cluster.log_of(&map, uid).map_err(RpcError::from)?;
-        // A part of the log is read whole.
+        // The operation reads a whole part of the log.
         let permit = self.permits.take().await?;
         let end_position = log.end();
         let at = if position == 0 { end_position } else { position };
@@ -240,7 +240,7 @@ impl ClusterService for ClusterCalls {
         let (store, id) = (Arc::clone(&self.catalog.context().store), handle.id);
         let unknown = OperationError::UnknownFork { map, fork: fork.chars().take(80).collect() };
         let discard = move || {
-            // What is no name of a fork is no file that may be removed.
+            // A file may be removed only if its name is that of a fork.
             if store.forks(id).map_err(OperationError::from)?.iter().all(|known| known.name != fork) {
                 return Err(RpcError::from(unknown));
             }
@@ -265,7 +265,7 @@ impl ClusterService for ClusterCalls {
             return Err(RpcError::from(OperationError::UnknownFork { map, fork }).into());
         }
         let known = known_producers(&handle).await;
-        // The whole fork is read.
+        // The operation reads the whole fork.
         let permit = self.permits.take().await?;
         Ok(Response::new(compute_replies(vec![permit], move |sink| read_fork(&store, &handle, &fork, &known, sink))))
     }

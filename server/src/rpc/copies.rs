@@ -1,7 +1,7 @@
-//! `PeerService`: this daemon gives its maps to other daemons of its cluster, and takes theirs.
+//! `PeerService`: this daemon sends its maps to other daemons of its cluster, and fetches theirs.
 //!
-//! Invariant: only who knows the secret of the cluster is answered, and the secret goes over a network with TLS only,
-//! unless an operator has allowed that. A copy is held a part at a time, whatever its size.
+//! Invariant: only a daemon that has the secret of the cluster gets an answer, and the secret goes over a network with
+//! TLS only, unless an operator has allowed that. Only a part of a copy is in memory at a time, whatever its size.
 
 use std::{
     sync::{Arc, atomic::Ordering},
@@ -34,11 +34,11 @@ use crate::{
     peers::SharedMaps,
 };
 
-/// Copies that are given at once.
+/// Maximum number of copies that are sent at once.
 const COPIES_MAX: usize = 2;
-/// Parts that are read ahead of the other daemon.
+/// Number of parts that are read before the other daemon takes them.
 const PARTS_AHEAD: usize = 2;
-/// The other daemon takes a part within this time, or gives one.
+/// Maximum time until the other daemon takes a part, or sends one.
 const PART_WITHIN: Duration = Duration::from_secs(60);
 
 /// The service.
@@ -57,7 +57,7 @@ impl PeerCalls {
         self.catalog.context().cluster.as_ref().ok_or(OperationError::NoCluster)
     }
 
-    /// The map of this number, if its log here is a beginning of the shared one.
+    /// The map of this number, if its log in this daemon is a prefix of the shared log.
     fn map_to_give(&self, uid: u64) -> Result<MapId, OperationError> {
         let status = self.cluster()?.replica_status(uid);
         let maps = self.catalog.all();
@@ -108,7 +108,7 @@ fn give(catalog: &Catalog, id: MapId, parts: &PartSender, _permit: OwnedSemaphor
         let message = part
             .map(|CopyPart { name, offset, bytes, is_last }| part_to_wire(FilePart { name, offset, bytes, is_last }));
         let is_failure = message.is_err();
-        // Without its end the copy is not whole.
+        // Without its end message the copy is not complete.
         if !send(message.map_err(failed)) || is_failure {
             return;
         }
@@ -116,7 +116,7 @@ fn give(catalog: &Catalog, id: MapId, parts: &PartSender, _permit: OwnedSemaphor
     let _ = send(Ok(end_to_wire(files, bytes)));
 }
 
-/// Why a daemon has not given a copy.
+/// The reason why a daemon has not sent a copy.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FetchError {
     #[error(transparent)]
@@ -141,7 +141,7 @@ impl From<Status> for FetchError {
     }
 }
 
-/// Takes maps of other daemons.
+/// Fetches maps from other daemons.
 #[derive(Debug)]
 pub(crate) struct CopyClient {
     links: Links,
@@ -153,7 +153,7 @@ impl CopyClient {
         Self { links: Links::new(shared.tls, shared.tokens_in_clear), secret }
     }
 
-    /// Takes a map of the daemon at an address, whole and checked.
+    /// Fetches a map from the daemon at an address, complete and checked.
     ///
     /// # Errors
     /// See [`FetchError`]; nothing of the copy is left then.
@@ -192,7 +192,7 @@ impl CopyClient {
     }
 }
 
-/// A copy that arrives. Dropped, it is deleted on a blocking thread: it may be large.
+/// A copy that arrives. When it is dropped, it is deleted on a blocking thread, because it may be large.
 struct ArrivingCopy(Option<MapCopy>);
 
 impl ArrivingCopy {
@@ -209,7 +209,7 @@ impl Drop for ArrivingCopy {
     }
 }
 
-/// Works on a copy on a blocking thread. `None`: a part before could not be taken.
+/// Does work on a copy on a blocking thread. `None`: an earlier part could not be taken.
 async fn with(
     copy: Option<MapCopy>,
     work: impl FnOnce(&mut MapCopy) -> Result<(), CopyError> + Send + 'static,

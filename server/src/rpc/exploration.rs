@@ -36,21 +36,21 @@ mod tour;
 mod views;
 mod worth;
 
-/// Maximum number of times at which one request looks at a grid. The phasors of all are held at once: 33 KB per time
-/// with the maximum number of periodicities.
+/// Maximum number of times of a grid in one request. The phasors of all times are held at once: 33 KB per time with the
+/// maximum number of periodicities.
 const GRID_TIMES_MAX: u64 = 2_000;
 
-/// Places of one reply.
+/// Number of places in one reply.
 const PLACES_PER_REPLY: usize = 1_000;
 
 /// Limits of plans.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlanLimits {
-    /// Predictions of one request.
+    /// Maximum number of predictions of one request.
     pub predictions: u64,
-    /// Cells of a grid of one request.
+    /// Maximum number of grid cells of one request.
     pub cells: u64,
-    /// Viewpoints × times × cells that the rays of one view pass, of one request.
+    /// Maximum of viewpoints × times × cells that the rays of one view pass, of one request.
     pub view_work: u64,
 }
 
@@ -66,9 +66,9 @@ pub(crate) struct Explorations {
 }
 
 impl Explorations {
-    /// Plans within these limits; models are trained by those of `queries`.
+    /// Creates the service with these limits. The trainer of `queries` trains its models.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits, routes: Arc<Routes>) -> Self {
-        // A plan keeps all processors busy; more at once only wait for each other.
+        // A plan keeps all processors busy; with more plans at once, each would only wait for the others.
         Self { catalog, limits, trainer: queries.trainer(), permits: Permits::new(processors().max(2)), routes }
     }
 
@@ -100,7 +100,7 @@ impl Explorations {
     }
 }
 
-/// Sends the places that were tried.
+/// Sends the places that robots have tried to reach.
 async fn reached_places(
     permits: &Permits,
     handle: &MapHandle,

@@ -1,8 +1,8 @@
-//! Forks of a map of this daemon, for operators: what they hold, beside what the map has, and their records to send
+//! Forks of a map of this daemon, for operators: the content of a fork, compared with the map, and its records to send
 //! again.
 //!
-//! Invariant: numbers of producers and states are those of the fork where it brought them in, and of the map where both
-//! had them before.
+//! Invariant: the numbers of a producer or a state that the fork added are those of the fork. The numbers of one that
+//! both the fork and the map had before are those of the map.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -34,12 +34,12 @@ use crate::{
     },
 };
 
-/// How long the thread of a map may take to say which producers it knows.
+/// Maximum time in which the thread of a map must list its producers.
 const PRODUCERS_WITHIN: Duration = Duration::from_secs(1);
-/// Observations of one reply.
+/// Number of observations in one reply.
 const OBSERVATIONS_AT_ONCE: usize = 2048;
 
-/// The producers of a map, by their number in it; none where the map does not answer.
+/// The producers of a map, by their number in it; empty if the map does not answer.
 pub(super) async fn known_producers(handle: &MapHandle) -> BTreeMap<ProducerId, KnownProducer> {
     let (reply, known) = oneshot::channel();
     let answer = async { if handle.send(Command::ListProducers(reply)) { known.await.ok() } else { None } };
@@ -47,15 +47,15 @@ pub(super) async fn known_producers(handle: &MapHandle) -> BTreeMap<ProducerId, 
     known.into_iter().map(|producer| (producer.id, producer)).collect()
 }
 
-/// Up to which number of a part of a producer's sequence the map has the very observations of a fork. A producer that
-/// began anew has sent others under the numbers.
+/// The number up to which the map has the same observations as the fork, in a part of a producer's sequence. A producer
+/// that began anew has sent other observations with these numbers.
 fn known_to(mark: &ProducerMark, incarnation: u64, span: SequenceSpan) -> u64 {
     let at_last = mark.content_marks().into_iter().find(|content| content.sequence == span.last);
     let is_same = at_last.map_or(mark.incarnation == incarnation, |content| content.crc == span.content_crc);
     if is_same { span.last.min(mark.durable_sequence) } else { 0 }
 }
 
-/// What a fork calls producers and states. One that is new in the fork may have another number in the map.
+/// The names of the producers and states of a fork. One that is new in the fork may have another number in the map.
 #[derive(Default)]
 struct ForkNames {
     producers: HashMap<ProducerId, ProducerKey>,
@@ -63,7 +63,7 @@ struct ForkNames {
 }
 
 impl ForkNames {
-    /// Takes what an event brings in.
+    /// Adds the producers and states that an event adds.
     fn learn(&mut self, event: &Event) {
         let new_states: &[NewState] = match event {
             Event::Observations(_, event) => &event.new_states,
@@ -78,7 +78,7 @@ impl ForkNames {
         }
     }
 
-    /// Name and label of a producer.
+    /// The name and the label of a producer.
     fn producer(&self, id: ProducerId, known: &BTreeMap<ProducerId, KnownProducer>) -> (String, String) {
         let key = self.producers.get(&id).or_else(|| known.get(&id).map(|known| &known.mark.key));
         key.map_or_else(
@@ -87,7 +87,7 @@ impl ForkNames {
         )
     }
 
-    /// What observations name whose first state is this one.
+    /// The state that observations name, whose first part has this id.
     fn state(&self, id: StateId, view: &MapView) -> Option<ForkedState> {
         if let Some(new) = self.states.get(&id) {
             return Some(new.clone());
@@ -110,7 +110,7 @@ impl ForkNames {
     }
 }
 
-/// What a fork holds, beside what the map has meanwhile.
+/// Encodes the content of a fork, compared with what the map has by now.
 pub(super) fn fork_to_wire(
     store: &Store,
     map: MapId,
@@ -126,7 +126,7 @@ pub(super) fn fork_to_wire(
             other_records += u64::from(match &event {
                 Event::AddState(new) => view.shape(new.name.as_str()).is_none_or(|(_, shape)| shape != new.shape),
                 Event::EditSite(_) => true,
-                // The map has epochs and updates of its own.
+                // The map has its own epochs and updates.
                 _ => false,
             });
             continue;
@@ -157,8 +157,9 @@ pub(super) fn fork_to_wire(
     })
 }
 
-/// Removes forks of a single group of which the map has everything. A daemon that is lost while a group is decided
-/// about leaves one behind, and its producers have sent the observations again. Gives the names of those removed.
+/// Removes forks of a single group whose observations the map has completely. A daemon that is lost while a group is
+/// decided about leaves such a fork behind, and its producers have sent the observations again. Returns the names of
+/// the removed forks.
 ///
 /// # Errors
 /// A fork cannot be read or removed.
@@ -174,7 +175,7 @@ pub(crate) async fn remove_known(store: &Arc<Store>, handle: &MapHandle) -> Resu
         let mut removed = Vec::new();
         for fork in forks {
             let name = fork.name.clone();
-            // One that cannot be read stays for the operator.
+            // A fork that cannot be read stays for the operator.
             let Ok(held) = fork_to_wire(&store, id, fork, (&view, &known)) else { continue };
             let is_known = |row: &v1::ForkedProducer| row.known_observations == row.observations;
             if held.other_records == 0 && held.producers.iter().all(is_known) {
@@ -206,7 +207,7 @@ pub(super) fn read_fork(
             Event::AddState(new) => std::slice::from_ref(new),
             _ => &[],
         };
-        // Those that reports add are not added by a request.
+        // A request does not add the states that reports add.
         let is_own = |new: &&NewState| StateName::observed(new.name.as_str()).is_ok();
         let mut parts: Vec<Part> =
             new_states.iter().filter(is_own).map(|new| Part::State(added_state_to_wire(map, new))).collect();
@@ -219,7 +220,7 @@ pub(super) fn read_fork(
                 parts.push(Part::Other("a change of the site".to_owned()));
                 Vec::new()
             }
-            // The map has updates and epochs of its own.
+            // The map has its own updates and epochs.
             Event::AddState(_)
             | Event::UpdateStart(_)
             | Event::Epoch(_)

@@ -1,12 +1,13 @@
 //! The gateway: where daemons share maps, each of them answers for every map.
 //!
-//! A request that this daemon can answer goes on to the services. Another one is passed to the daemon that writes the
-//! map, and to nobody after that: bytes in both directions, which are not decoded. Requests carry what their client has
-//! seen of a map, and replies what they show ([`ReadToken`]), so that no client sees less than before.
+//! A request that this daemon can answer goes on to the services. Any other request is passed to the daemon that writes
+//! the map, and that daemon passes it to nobody: the gateway copies bytes in both directions and does not decode them.
+//! Requests contain what their client has seen of a map, and replies contain what they show ([`ReadToken`]), so that no
+//! client sees less than before.
 //!
 //! Invariant: a request is passed on at most once, for a caller that may call the method and use the map, and with the
-//! caller's own token, which the other daemon checks again. Of a body no more is held than its first message. A daemon
-//! that shares no maps has no gateway.
+//! caller's own token, which the other daemon checks again. The gateway holds no more of a body than its first message.
+//! A daemon that shares no maps has no gateway.
 
 use std::{sync::Arc, time::Duration};
 
@@ -58,15 +59,15 @@ use late_body::late;
 use links::{Links, PeerPlace};
 use passed_body::{End, PassedBody};
 
-/// A request waits so long for a writer that is known and answers.
+/// Maximum time that a request waits for a writer that is known and answers.
 const WRITER_WITHIN: Duration = Duration::from_secs(2);
-/// After so long the writer is looked for again.
+/// Interval at which the gateway searches for the writer again.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// A request waits so long for a view that shows what its client has seen.
+/// Maximum time that a request waits for a view that shows what its client has seen.
 const SHOWN_WITHIN: Duration = Duration::from_millis(200);
-/// Maximum size of a first message that is looked at: no service takes a larger one.
+/// Maximum size of a first message that the gateway reads: no service takes a larger one.
 const FIRST_BYTES: usize = 16 << 20;
-/// Maximum size of a Hello that is looked at.
+/// Maximum size of a Hello that the gateway reads.
 const HELLO_BYTES: usize = 64 << 10;
 
 const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
@@ -90,7 +91,7 @@ const OWN_PREFIX: &str = "tidemap-";
 pub(crate) struct ClusterGateway {
     catalog: Arc<Catalog>,
     peers: Arc<dyn Peers>,
-    /// What the other daemons know this one by.
+    /// The secret by which the other daemons recognise this one.
     secret: Option<PeerSecret>,
     links: Arc<Links>,
     /// Becomes true when the daemon stops.
@@ -145,7 +146,7 @@ async fn first_message(parts: &Parts, body: &mut PeekedBody<Body>) -> Result<Opt
     }
 }
 
-/// A request whose first message is looked at.
+/// A request whose first message the gateway reads.
 struct GatewayCall {
     parts: Parts,
     body: PeekedBody<Body>,
@@ -153,25 +154,25 @@ struct GatewayCall {
 }
 
 impl GatewayCall {
-    /// Answers it here.
+    /// Answers the request in this daemon.
     async fn answer(self, next: Next) -> Response {
         next.run(Request::from_parts(self.parts, Body::new(self.body))).await
     }
 
-    /// The daemon that has passed it on.
+    /// The name of the daemon that has passed the request on.
     fn passed_by(&self) -> Option<String> {
         let by = self.parts.headers.get(FORWARDED)?;
         Some(by.to_str().unwrap_or("another daemon").chars().take(80).collect())
     }
 }
 
-/// Who answers a request.
+/// The daemon that answers a request.
 enum Answerer {
     Here,
     There { member: String, address: String, place: PeerPlace },
 }
 
-/// What a view of a map shows, as a token.
+/// The content that a view of a map shows, as a token.
 fn token(map: &MapHandle, Shown { position, generation }: Shown) -> ReadToken {
     ReadToken { map_uid: map.shared_uid.unwrap_or_default(), position, generation }
 }
@@ -194,7 +195,7 @@ impl ClusterGateway {
         answer.map_err(Status::from)
     }
 
-    /// Answers a request of a map where that can be done.
+    /// Answers a request of a map in the daemon where that can be done.
     async fn find_map(
         &self,
         place: Place,
@@ -202,7 +203,7 @@ impl ClusterGateway {
         map: Option<String>,
         next: Next,
     ) -> Result<Response, RpcError> {
-        // Without a map the request is wrong, or about the daemon.
+        // A request without a map is wrong, or about the daemon.
         let Some(map) = map else { return Ok(call.answer(next).await) };
         check_scope(&map)?;
         let handle = self.catalog.get(&map).ok();
@@ -219,8 +220,8 @@ impl ClusterGateway {
             Answerer::Here => {
                 let mut reply = call.answer(next).await;
                 if let Some(handle) = handle {
-                    // An upper bound of what the reply shows. Taken before the answer, it could be less than the
-                    // reply shows, and a later reply could show less than this one.
+                    // An upper bound of what the reply shows. If it were taken before the answer, it could be less than
+                    // the reply shows, and a later reply could show less than this one.
                     token(&handle, handle.shown()).put(reply.headers_mut(), SHOWN);
                 }
                 Ok(reply)
@@ -228,7 +229,7 @@ impl ClusterGateway {
         }
     }
 
-    /// Whether a request of a map can be answered here. Waits for what its client has seen.
+    /// Whether a request of a map can be answered in this daemon. Waits until the map shows what the client has seen.
     async fn is_answered_here(
         &self,
         place: Place,
@@ -243,7 +244,7 @@ impl ClusterGateway {
             return Ok(true);
         }
         let allows_stale = allows_stale(headers);
-        // One that is being opened shows an older generation, and hears nothing of its log yet.
+        // A map that is being opened shows an older generation, and receives nothing of its log yet.
         let is_open = handle.opening() == OpenProgress::Open;
         if place == Place::Writer || !(is_open || allows_stale) {
             return Ok(false);
@@ -259,20 +260,20 @@ impl ClusterGateway {
         if handle.shows(|shown| token(handle, shown).reaches(wanted), SHOWN_WITHIN).await {
             return Ok(true);
         }
-        // One that was cut off may not know yet that it writes no more: it does not show less either.
+        // A writer that was cut off may not know yet that it writes no more: it does not show less either.
         if handle.role().is_writing() {
             return Err(GatewayError::Behind { map: map.to_owned(), wanted });
         }
         Ok(false)
     }
 
-    /// Who writes a map, as far as the role in it or something else says.
+    /// The writer of a map, as far as it is known from the map's role or from the other daemons.
     fn known_writer(&self, map: &str, handle: Option<&Arc<MapHandle>>, by_role: Option<String>) -> Option<String> {
         let held = || self.peers.writer_of_held(&handle?.spec.name);
         by_role.or_else(held).or_else(|| self.peers.writer_of(map))
     }
 
-    /// A place on a connection to a daemon, by its address.
+    /// Takes a place on a connection to the daemon at this address.
     async fn place(&self, address: &str, has_token: bool, deadline: tokio::time::Instant) -> Result<PeerPlace, String> {
         match tokio::time::timeout_at(deadline, self.links.place(address, has_token)).await {
             Ok(place) => place.map_err(|error| error.to_string()),
@@ -280,7 +281,7 @@ impl ClusterGateway {
         }
     }
 
-    /// A connection to the writer of a map. Waits for one that is known and answers.
+    /// A connection to the writer of a map. Waits for a writer that is known and answers.
     async fn writer(
         &self,
         map: &str,
@@ -297,7 +298,7 @@ impl ClusterGateway {
                 None => None,
             };
             let writer = self.known_writer(map, handle, by_role);
-            // Its own name is what a daemon knows that is about to write.
+            // A daemon that is about to write knows its own name as that of the writer.
             if let Some(member) = writer.filter(|writer| writer != self.peers.name()) {
                 let why = match self.peers.address_of(&member) {
                     None => "its address is not known".to_owned(),

@@ -1,7 +1,7 @@
 //! The guard of the RPCs: each request passes it before any service sees it.
 //!
-//! Invariant: it decides by the table and the token alone, before anything of a request is counted or read. The map of
-//! a request is checked where its name is known, for the caller that the guard has set. No service sees the token.
+//! Invariant: the guard decides by the table and the token alone, before any of a request is counted or read. The map
+//! of a request is checked where its name is known, for the caller that the guard has set. No service sees the token.
 
 use axum::{
     body::Body,
@@ -31,9 +31,9 @@ use crate::{
 pub(crate) enum Access {
     /// No tokens are configured: everybody may do everything.
     Anybody,
-    /// No tokens are configured, and the port is for reading: everybody may ask, and nobody may change anything.
+    /// No tokens are configured, and the port is for reading: everybody may read, and nobody may change anything.
     Readers,
-    /// Who has a token may do what it allows.
+    /// The holder of a token may do what the token allows.
     Tokens(Keyring),
 }
 
@@ -41,11 +41,11 @@ impl Access {
     /// The caller of a method, by the headers of the request.
     ///
     /// # Errors
-    /// The caller may not call it.
+    /// The caller may not call this method.
     pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Caller, RpcError> {
         let need = need(path).ok_or(RpcError::UnknownMethod)?;
         let keyring = match (self, need) {
-            // No token is the secret of the cluster, which admission checks.
+            // No token is the secret of the cluster, which the admission checks.
             (_, Need::Peer) => return Err(RpcError::Denial(Denial::Unknown)),
             (Self::Tokens(keyring), _) => keyring,
             (Self::Readers, Need::Role(role) | Need::AllMaps(role)) if role != Role::Planner => {
@@ -91,7 +91,7 @@ impl Access {
     /// Does work for a caller, until the caller's token is revoked.
     ///
     /// # Errors
-    /// Of the work, or that the token was revoked.
+    /// The error of the work, or that the token was revoked.
     pub(super) async fn work_for<T>(
         &self,
         caller: Caller,

@@ -34,7 +34,7 @@ pub(super) async fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHan
     let handle = find_published(catalog, name)?;
     match opened(&handle).await {
         Ok(()) => Ok(handle),
-        // It may have turned out that it cannot be opened.
+        // Meanwhile it may have failed to open.
         Err(error) => Err(find_published(catalog, name).err().unwrap_or(error)),
     }
 }
@@ -78,7 +78,7 @@ pub(crate) fn check_sender(map: &str, producer: &str) -> Result<(), RpcError> {
     check_producer(producer)
 }
 
-/// The map of this name, even if it shows no more yet than the generation that the index publishes.
+/// The map of this name, even if it shows only the generation that the index publishes.
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     check_scope(name)?;
     let caller = Caller::current();
@@ -118,7 +118,7 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
 /// The state of this name, or all labels of a categorical state.
 ///
 /// # Errors
-/// As [`find_state`].
+/// See [`find_state`].
 pub(super) fn find_parts(view: &MapView, name: &str) -> Result<Vec<StateId>, RpcError> {
     let labels: Vec<StateId> = view.labels(name).into_iter().map(|(id, _)| id).collect();
     if labels.is_empty() { Ok(vec![find_state(view, name)?]) } else { Ok(labels) }
@@ -131,10 +131,10 @@ pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescripti
     grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })
 }
 
-/// The states and cells of these names. `field` gives the name of the field of each.
+/// The states and cells of these names. `field` returns the field name of each.
 ///
 /// # Errors
-/// Of the first name that is unknown.
+/// The error of the first name that is unknown.
 pub(super) async fn find_all(
     view: &Arc<MapView>,
     field: impl Fn(usize) -> String + Send + 'static,
@@ -166,11 +166,11 @@ pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'sta
     if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
 }
 
-/// Checks that a place of a map with a grid lies within its extent or, without one, within what was observed so far. A
+/// Checks that a place of a map with a grid is within its extent or, without an extent, within the observed area. A
 /// grid that has neither takes all places.
 ///
 /// # Errors
-/// The place lies outside.
+/// The place is outside.
 pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Result<(), Misfit> {
     let (Some(spec), Some(grid)) = (&view.spec().grid, view.grid()) else { return Ok(()) };
     let bounds = spec.extent.unwrap_or_else(|| grid.bounds());

@@ -46,17 +46,17 @@ pub(crate) struct Maintenance {
     pub catalog: Arc<Catalog>,
     /// The folder below which requests may make backups; empty: none is set.
     pub backup_dir: PathBuf,
-    /// Where the daemon serves its page.
+    /// The address at which the daemon serves its page.
     pub page: PageAddress,
-    /// What clients share.
+    /// The bounded resources that clients share.
     pub shares: Shares,
 }
 
-/// Where the daemon serves its page.
+/// The address at which the daemon serves its page.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PageAddress {
     pub address: SocketAddr,
-    /// Whether it speaks HTTPS.
+    /// Whether the page is served over HTTPS.
     pub has_tls: bool,
 }
 
@@ -92,7 +92,7 @@ fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
     }
 }
 
-/// Why the newest generation of a map is not saved, if the job has published it.
+/// The reason why the newest generation of a map is not saved, if the job has published that generation.
 fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>) -> Option<String> {
     let (generation, _) = published?;
     let handle = catalog.get(job.map_name()).ok().filter(|handle| handle.view().generation() == generation)?;
@@ -104,7 +104,7 @@ fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>)
 
 /// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own order.
 fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
-    // Ties: the lower order.
+    // In a tie the lower order is taken.
     let most_frequent_order = |cells_by_order: &[u64]| {
         let orders = cells_by_order.iter().enumerate().rev();
         let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
@@ -126,7 +126,8 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     }
 }
 
-/// The sum of squared errors of what predicts a state from now on, as it was on the day of each observation.
+/// The sum of squared errors of the model that predicts a state from now on. Each error is that of the model on the day
+/// of the observation.
 fn squared_error(StateOutcome { outcome, chosen, .. }: &StateOutcome) -> f64 {
     if chosen.kind == ModelKind::Spectral {
         outcome.squared_errors[outcome.order]
@@ -150,15 +151,15 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
     }
 }
 
-/// Whether a caller may see a job: those of its maps, and those of the whole daemon if it has all maps.
+/// Whether a caller may see a job: jobs of the caller's maps, and jobs of the whole daemon if the caller has all maps.
 fn may_see(caller: &Caller, job: &UpdateJob) -> bool {
     job.map.as_ref().map_or_else(|| caller.covers_all(), |map| caller.covers(map.as_str()))
 }
 
 impl Maintenance {
-    /// Whether a backup may go to any folder that a caller names, because the operator has named none.
+    /// Checks that a backup may go to any folder that a caller names, because the operator has named none.
     fn check_any_folder(path: &str, peer: Option<Peer>) -> Result<(), RpcError> {
-        // Without tokens, who may connect from this machine may do everything anyway.
+        // Without tokens, everybody who may connect from this machine may do everything anyway.
         let is_local = peer.is_some_and(Peer::is_of_this_machine);
         if !matches!(Caller::current(), Caller::Anybody) || !is_local {
             return Err(RpcError::NoBackupFolder);
@@ -171,7 +172,7 @@ impl Maintenance {
 
     fn job(&self, id: u64) -> Result<Arc<UpdateJob>, RpcError> {
         let job = self.catalog.context().jobs.get(id);
-        // A job of a map that the caller has no right to does not exist for it.
+        // A job of a map that the caller has no right to does not exist for the caller.
         job.filter(|job| may_see(&Caller::current(), job)).ok_or(RpcError::UnknownJob(id))
     }
 }
@@ -324,7 +325,7 @@ impl MaintenanceService for Maintenance {
         if let Some(RequestedPart { producer: Some((producer, label)), .. }) = &erasure.part {
             self.catalog.producers_of(&handle, (producer, label.as_deref())).await.map_err(RpcError::from)?;
         }
-        // Found again when the erasure begins: another one may have been first.
+        // The states are looked up again when the erasure begins: another erasure may have been first.
         if let Some(state) = &erasure.state
             && let Err(error) = states_of(&handle.view(), state)
         {

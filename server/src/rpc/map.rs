@@ -71,7 +71,7 @@ impl MapService for Maps {
         let (range, next_page_token) = page.within(maps.len());
         let mut shown = Vec::with_capacity(range.len());
         for handle in maps.into_iter().skip(range.start).take(range.len()) {
-            // A map that turns out to be unavailable meanwhile is among those.
+            // A map that turns out to be unavailable meanwhile is among the unavailable maps.
             if let Err(error) = opened(handle).await {
                 match self.catalog.get(handle.spec.name.as_str()) {
                     Err(CatalogError::Unavailable { .. }) => continue,
@@ -90,7 +90,7 @@ impl MapService for Maps {
 
     async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> RpcReply<v1::DeleteMapResponse> {
         let name = request.into_inner().name;
-        // An unavailable map can be deleted as well, and one that only other daemons hold.
+        // An unavailable map can be deleted as well, and so can a map that only other daemons hold.
         let unknown = match find_map(&self.catalog, &name).await {
             Ok(_) | Err(RpcError::Catalog(CatalogError::Unavailable { .. })) => None,
             Err(error @ RpcError::UnknownMap { .. }) => Some(error),
@@ -98,7 +98,7 @@ impl MapService for Maps {
         };
         match (self.catalog.delete(&name).await, unknown) {
             (Ok(()), _) => Ok(Response::new(v1::DeleteMapResponse {})),
-            // It lists those that there are.
+            // This error lists the maps that exist.
             (Err(CatalogError::Unknown(_)), Some(unknown)) => Err(unknown.into()),
             (Err(error), _) => Err(RpcError::from(error).into()),
         }

@@ -1,8 +1,8 @@
 //! `ObservationService`: a stream of observations in, acknowledgements out.
 //!
-//! Invariant: what a stream has sent and is not durable yet is bounded, per stream and in total, because room is
-//! reserved before the next message is read. A stream has its own task: nothing that was handed to the writer is lost
-//! when a client goes away.
+//! Invariant: the size of the data that a stream has sent and that is not durable yet is bounded, per stream and in
+//! total, because room is reserved before the next message is read. A stream has its own task: nothing that was handed
+//! to the writer is lost when a client goes away.
 
 use std::sync::Arc;
 
@@ -38,17 +38,17 @@ pub(super) use opening::HELLO_WITHIN;
 use opening::open_and_serve;
 pub(super) use report::SentAs;
 
-/// Replies that wait for the client.
+/// Number of replies that wait for the client.
 const REPLIES_AHEAD: usize = 16;
 
 /// Limits of streams.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StreamLimits {
-    /// Limits of what a stream sends.
+    /// Limits of the data that a stream sends.
     pub intake: IntakeLimits,
     /// Maximum size of one message, in bytes.
     pub max_message_bytes: usize,
-    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
+    /// Maximum size of the data that one stream has sent and that is not durable yet, in bytes.
     pub max_stream_buffer: usize,
 }
 
@@ -61,9 +61,9 @@ pub(crate) struct Observations {
     pub limits: StreamLimits,
     /// Room for all streams together, in bytes.
     pub buffers: WaitedShare,
-    /// What clients share.
+    /// The bounded resources that clients share.
     pub shares: Shares,
-    /// Leave to classify.
+    /// Permits to classify.
     pub(super) permits: Permits,
     /// The open streams.
     pub streams: OpenStreams,
@@ -92,7 +92,7 @@ impl ObservationService for Observations {
 }
 
 impl Observations {
-    /// Starts a stream and gives its replies. The stream has a task of its own, which works for the same caller.
+    /// Starts a stream and returns its replies. The stream has a task of its own, which works for the same caller.
     fn start(
         &self,
         mut requests: impl Requests + 'static,

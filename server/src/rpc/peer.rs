@@ -1,4 +1,4 @@
-//! Who makes a request: the other end of its connection.
+//! The peer of a request: the other end of its connection.
 //!
 //! Invariant: every request of the gRPC port carries a [`Remote`] among its extensions.
 

@@ -1,9 +1,9 @@
 //! Permits: how many requests of a kind compute at once.
 //!
-//! Invariant: a request that gets no permit in time ends with an error that says so; if it can be foreseen, from how
-//! many wait and how long requests of the kind computed lately, the request is refused at once, which costs least. Who
-//! waits for a reader holds no permit, who computes for long gives others a turn, and work that nobody waits for ends
-//! and gives its permit back.
+//! Invariant: a request that gets no permit in time ends with an error that names this reason. If the wait can be
+//! foreseen to be too long, from the number of waiting requests and the time for which requests of the kind computed
+//! lately, the request is refused at once, which costs least. Work that waits for a reader holds no permit, work that
+//! computes for long gives others a turn, and work that nobody waits for ends and gives its permit back.
 
 use std::{
     sync::{
@@ -23,11 +23,11 @@ use super::status::RpcError;
 
 /// Minimum number of requests that compute at once.
 const PERMITS_MIN: usize = 4;
-/// A request waits this long for others to end.
+/// Maximum time that a request waits for others to end.
 const PERMIT_WITHIN: Duration = Duration::from_secs(30);
-/// A request that is answered promptly is refused if it would wait for longer than this.
+/// A request that must be answered promptly is refused if it would wait for longer than this.
 pub(super) const PROMPT: Duration = Duration::from_millis(75);
-/// So many requests per permit may wait, however long that takes: a few at once are no overload.
+/// This number of requests per permit may wait, however long that takes: a few at once are no overload.
 const QUEUED_PER_PERMIT: usize = 2;
 
 /// A long computation offers its permit to others after this time.
@@ -38,33 +38,33 @@ const SLICE: Duration = Duration::from_millis(50);
 pub(super) struct Permits {
     permits: Arc<Semaphore>,
     max: usize,
-    /// How long a request may be foreseen to wait.
+    /// Maximum time for which a request may be foreseen to wait.
     patience: Duration,
     load: Arc<Load>,
 }
 
-/// How much is waited for.
+/// The load on permits.
 #[derive(Debug, Default)]
 struct Load {
     waiting: AtomicUsize,
-    /// How long a request computed lately, in nanoseconds: a mean that fades.
+    /// The time for which a request computed lately, in nanoseconds: an exponentially fading mean.
     computed_nanos: AtomicU64,
 }
 
 impl Load {
     fn note(&self, computed: Duration) {
         let nanos = u64::try_from(computed.as_nanos()).unwrap_or(u64::MAX);
-        // Two that end at the same moment may lose one of both, which does not matter.
+        // If two requests end at the same moment, one of the two times may be lost, which does not matter.
         let mean = self.computed_nanos.load(Ordering::Relaxed);
         self.computed_nanos.store(mean - mean / 8 + nanos / 8, Ordering::Relaxed);
     }
 }
 
-/// One that waits.
+/// A waiting request.
 struct Waiting<'a>(&'a Load);
 
 impl<'a> Waiting<'a> {
-    /// With how many there are now.
+    /// Enters a waiting request; returns it and the number of requests that wait now.
     fn enter(load: &'a Load) -> (Self, usize) {
         let waiting = load.waiting.fetch_add(1, Ordering::Relaxed) + 1;
         (Self(load), waiting)
@@ -84,7 +84,7 @@ pub(super) struct Permit {
     load: Arc<Load>,
     held: Option<HeldPermit>,
     since: Instant,
-    /// How long it was held before.
+    /// The time for which the permit was held before.
     computed: Duration,
 }
 
@@ -115,29 +115,29 @@ impl Drop for HeldPermit {
 }
 
 impl Permit {
-    /// Gives the permit to others while its holder waits for something else.
+    /// Gives the permit back while its holder waits for something else.
     pub(super) fn pause(&mut self) {
         if self.held.take().is_some() {
             self.computed += self.since.elapsed();
         }
     }
 
-    /// Waits for the permit again, behind those that wait already. Only on a blocking thread.
+    /// Waits for the permit again, behind the requests that wait already. Only on a blocking thread.
     pub(super) fn resume(&mut self) {
         if self.held.is_none() {
             let _waits = Waiting::enter(&self.load);
-            // The permits are closed never; without a permit the work would end all the same.
+            // The permits are never closed; without a permit the work would end all the same.
             self.held = Handle::current().block_on(Arc::clone(&self.permits).acquire_owned()).ok().map(HeldPermit::new);
             self.since = Instant::now();
         }
     }
 
-    /// Whether somebody else has all permits, so that a permit that is given back may not come back soon.
+    /// Whether others hold all permits, so that a permit that is given back may not be free again soon.
     pub(super) fn is_contended(&self) -> bool {
         self.permits.available_permits() == 0
     }
 
-    /// Whether the holder had the permit for long and somebody may wait.
+    /// Whether the holder has had the permit for long and somebody may wait.
     pub(super) fn is_due(&self) -> bool {
         self.since.elapsed() >= SLICE && self.is_contended()
     }
@@ -153,7 +153,7 @@ impl Permit {
 
 impl Default for Permits {
     fn default() -> Self {
-        // Twice the processors, because some requests wait for their readers.
+        // The number is twice that of the processors, because some requests wait for their readers.
         Self::new(PERMITS_MIN.max(2 * processors()))
     }
 }
@@ -178,8 +178,9 @@ pub(super) async fn run_blocking<T: Send + 'static>(
     Ok(crate::task::blocking(work).await?)
 }
 
-/// Runs work on a blocking thread, which keeps the permit until the work is done. It is told to stop `within` a time of
-/// its start, and when nobody waits for it any more: the client is gone, or the deadline of its call has passed.
+/// Runs work on a blocking thread, which keeps the permit until the work is done. The work gets a stop signal at
+/// `within` after its start, or when nobody waits for it any more: the client is gone, or the deadline of its call has
+/// passed.
 ///
 /// # Errors
 /// [`RpcError::Stopping`] if the daemon stops before the work is done.
@@ -198,7 +199,7 @@ pub(super) async fn run_while_awaited<T: Send + 'static>(
     run_blocking(permit, work).await
 }
 
-/// Tells work when it is dropped that nobody waits any more.
+/// Sets the stop signal of the work when it is dropped, because nobody waits any more.
 struct Awaited(Arc<AtomicBool>);
 
 impl Drop for Awaited {
@@ -208,17 +209,17 @@ impl Drop for Awaited {
 }
 
 impl Permits {
-    /// `max` permits.
+    /// Creates `max` permits.
     pub(super) fn new(max: usize) -> Self {
         Self { permits: Arc::new(Semaphore::new(max)), max, patience: PERMIT_WITHIN, load: Arc::default() }
     }
 
-    /// These permits for requests that begin to compute within a time, as far as that can be foreseen, or are refused.
+    /// Limits the wait for these permits: a request that is foreseen to wait for longer than `patience` is refused.
     pub(super) fn beginning_within(self, patience: Duration) -> Self {
         Self { patience, ..self }
     }
 
-    /// Refuses one more, the last of so many that wait, if it would wait for too long.
+    /// Refuses a request, the last of `waiting` ones, if it would wait for too long.
     fn foresee(&self, waiting: usize) -> Result<(), RpcError> {
         let computed = Duration::from_nanos(self.load.computed_nanos.load(Ordering::Relaxed));
         let wait = computed.mul_f64(waiting as f64 / self.max as f64);
@@ -262,7 +263,7 @@ mod tests {
     async fn a_request_that_would_wait_for_long_is_refused_at_once() {
         let permits = Permits::new(1).beginning_within(PROMPT);
         let mut held = permits.take().await.expect("the first");
-        // Whatever it is that computes takes an hour.
+        // A computation takes an hour here.
         held.computed = Duration::from_secs(3600);
         drop(held);
         let held = permits.take().await.expect("it is free again");

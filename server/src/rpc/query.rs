@@ -1,7 +1,8 @@
 //! `QueryService`: questions about an immutable view, and about the past.
 //!
 //! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader for a
-//! bounded time. A bounded number of requests compute at once; the others wait, and small ones never for large ones.
+//! bounded time. A bounded number of requests compute at once; the others wait, and small requests never wait for large
+//! ones.
 
 use std::{sync::Arc, time::Duration};
 
@@ -37,7 +38,7 @@ use watch::Watches;
 /// Maximum number of states of one request.
 const STATES_MAX: usize = 10_000;
 
-/// A request of at most so many predictions is small: it computes for some milliseconds.
+/// Maximum number of predictions of a small request: it computes for some milliseconds.
 const SMALL_PREDICTIONS: u64 = 50_000;
 
 /// A large request is refused if it would wait for longer than this: a long queue helps nobody.
@@ -61,18 +62,18 @@ pub(crate) struct Queries {
 /// Limits of questions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct QueryLimits {
-    /// Predictions of one request.
+    /// Maximum number of predictions of one request.
     pub predictions: u64,
-    /// Observations of one message.
+    /// Maximum number of observations of one message.
     pub batch: usize,
-    /// Trained models in the cache.
+    /// Maximum number of trained models in the cache.
     pub trained_models: usize,
-    /// Readings that a model is trained on.
+    /// Maximum number of readings that a model is trained on.
     pub training_readings: u64,
 }
 
 impl Queries {
-    /// Answers within these limits; evaluations and watches take of these shares.
+    /// Creates the service with these limits; evaluations and watches take from these shares.
     pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits, shares: Shares) -> Self {
         let trainer = Arc::new(ModelTrainer::new(
             Arc::clone(&catalog),
@@ -93,7 +94,7 @@ impl Queries {
         }
     }
 
-    /// A permit for so many predictions.
+    /// Takes a permit for this number of predictions.
     async fn permit_for(&self, predictions: u64) -> Result<Permit, RpcError> {
         if predictions <= SMALL_PREDICTIONS { self.permits.take().await } else { self.large_permits.take().await }
     }

@@ -1,6 +1,7 @@
 //! The exact observations of a state or a cell, from history files, unsaved history and pending observations.
 //!
-//! Invariant: each observation comes once, saved or not; ascending by time, ties in the order of the updates.
+//! Invariant: each observation is returned once, saved or not; ascending by time, and at equal times in the order of
+//! the updates.
 
 use std::{ops::Range, time::Duration};
 
@@ -25,13 +26,13 @@ use crate::{
 /// How long to wait for a running update that has the observations.
 pub(super) const UPDATE_WITHIN: Duration = Duration::from_secs(30);
 
-/// A question for readings.
+/// A query for readings.
 #[derive(Clone, Debug)]
 pub(super) struct ReadingsQuery {
     pub subject: Subject,
     /// From the first instant up to but not including the last, nanoseconds UTC.
     pub within_nanos: Range<i64>,
-    /// Gathering stops after more readings than this.
+    /// Gathering stops when it has more readings than this.
     pub enough: usize,
 }
 
@@ -44,7 +45,7 @@ pub(super) fn retention(spec: &MapSpec, subject: Subject) -> Option<Retention> {
     (retention != Retention::None).then_some(retention)
 }
 
-/// The writer's part: pending observations, and history that is not saved.
+/// Reads the writer's part: pending observations, and history that is not saved.
 pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<HistoryTail, RpcError> {
     let (reply, tail) = oneshot::channel();
     let stopped = || RpcError::Ended(Ending::Shutdown);
@@ -52,7 +53,7 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
         subject: wanted.subject,
         from_nanos: wanted.within_nanos.start,
         to_nanos: wanted.within_nanos.end,
-        // One more than enough shows that there are too many.
+        // One more than `enough` shows that there are too many.
         at_most: wanted.enough.saturating_add(1),
         reply,
     };
@@ -65,13 +66,13 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
     }
 }
 
-/// Checks that the ids of what was read are still those of the map.
+/// Checks that the ids in the data that was read are still those of the map.
 pub(super) fn not_replaced(handle: &MapHandle) -> Result<(), RpcError> {
     if handle.is_replaced() { Err(RpcError::Ended(Ending::Erasure)) } else { Ok(()) }
 }
 
-/// The readings, unless the work is told to stop; if there are more than `enough`, some of them, more than `enough`,
-/// unordered.
+/// Gathers the readings, unless the work is stopped. If there are more than `enough`, it returns some of them, more
+/// than `enough`, unordered.
 pub(super) fn gather(
     history: &History,
     spec: &MapSpec,

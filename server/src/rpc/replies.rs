@@ -1,7 +1,7 @@
 //! Replies that are computed off the async threads and wait for their reader.
 //!
-//! Invariant: a reader is waited for a bounded time, all its replies together. Replies that end early end with an
-//! error, so that a part is never taken for the whole. Who waits for a reader holds no permit to compute.
+//! Invariant: the wait for a reader is bounded, for all its replies together. Replies that end early end with an error,
+//! so that a part is never taken for the whole. Work that waits for a reader holds no permit to compute.
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
@@ -17,7 +17,7 @@ use super::{
     status::RpcError,
 };
 
-/// Replies computed ahead of the reader.
+/// Number of replies that are computed before the reader takes them.
 const REPLIES_AHEAD: usize = 8;
 /// The time to read all replies.
 const READ_WITHIN: Duration = Duration::from_secs(30);
@@ -31,30 +31,31 @@ pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 #[derive(Clone, Debug)]
 pub(super) struct ReplySink<T> {
     ready: mpsc::Sender<Result<T, RpcError>>,
-    /// The permits to compute of who sends.
+    /// The permits to compute that the sending work holds.
     permits: Option<Arc<Mutex<Vec<Permit>>>>,
 }
 
 impl<T> ReplySink<T> {
-    /// This sink for work that holds permits until it drops the sink. The permits are free while the work waits for the
-    /// reader.
+    /// Returns this sink for work that holds permits until it drops the sink. The permits are free while the work waits
+    /// for the reader.
     pub(super) fn holding(self, permits: Vec<Permit>) -> Self {
         Self { permits: Some(Arc::new(Mutex::new(permits))), ..self }
     }
 
-    /// Sends a reply when there is room. `false`: the client is gone. Only on a blocking thread.
+    /// Sends a reply when there is room. Returns `false` if the client is gone. Only on a blocking thread.
     pub(super) fn send(&self, reply: T) -> bool {
         self.send_freeing(reply, || ())
     }
 
-    /// Sends a reply as [`ReplySink::send`], for work that holds much memory and can make it again: `free` is called
-    /// before a longer wait, for the reader or for a permit, and perhaps more than once.
+    /// Does the same as [`ReplySink::send`], for work that holds much memory and can compute its content again: `free`
+    /// is called before a longer wait, for the reader or for a permit, and perhaps more than once.
     pub(super) fn send_freeing(&self, reply: T, mut free: impl FnMut()) -> bool {
         match self.ready.try_send(Ok(reply)) {
             Ok(()) => {
                 if self.any_permit(Permit::is_due) {
                     free();
-                    // All of them: who waited for one and held another would wait for those who hold the one.
+                    // All permits are paused: work that waited for one permit and held another would block those who
+                    // wait for the other.
                     self.with_permits(Permit::pause);
                     self.with_permits(Permit::resume);
                 }
@@ -118,7 +119,7 @@ pub(super) fn compute_replies<T: Send + 'static>(
     })
 }
 
-/// The replies that async `work` sends; it takes its permits itself.
+/// The replies that async `work` sends; the work takes its permits itself.
 pub(super) fn stream_replies<T: Send + 'static, W>(work: impl FnOnce(ReplySink<T>) -> W) -> Replies<T>
 where
     W: Future<Output = Result<(), RpcError>> + Send + 'static,
@@ -135,25 +136,25 @@ where
     crate::task::spawn(async move {
         let all_sent = pass_on(ready, &replies, READ_WITHIN).await;
         if work.await.is_err() && all_sent {
-            // The reader must not take what it has for everything.
+            // The reader must not take a part of the replies for all of them.
             let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(RpcError::Stopping.into()))).await;
         }
     });
     ReceiverStream::new(stream)
 }
 
-/// Passes replies to the reader until all are sent, the reader is gone, or it is too slow, which the last reply says.
-/// Gives whether all were sent.
+/// Passes replies to the reader until all are sent, the reader is gone, or the reader is too slow, which the last reply
+/// states. Returns whether all were sent.
 async fn pass_on<T>(
     mut ready: mpsc::Receiver<Result<T, RpcError>>,
     replies: &mpsc::Sender<Result<T, Status>>,
     read_within: Duration,
 ) -> bool {
-    // Reserved now: when the reader is slow, there is no room for the last reply.
+    // The room is reserved now: when the reader is slow, there is no room for the last reply.
     let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
     let mut left = read_within;
     loop {
-        // Also while nothing is ready: who computes for long learns that the reader is gone.
+        // This ends also while no reply is ready, so that work that computes for long notices that the reader is gone.
         let reply = tokio::select! {
             reply = ready.recv() => reply,
             () = replies.closed() => return false,
@@ -218,7 +219,8 @@ mod tests {
             Ok(())
         });
         assert!(unread.next().await.expect("a reply").is_ok());
-        // The first is computed ahead of its reader as far as there is room; then others have their turn.
+        // The first work computes replies as far as there is room before its reader takes them; then others have their
+        // turn.
         for _ in 0..3 {
             let permit = tokio::time::timeout(Duration::from_secs(10), permits.take()).await.expect("a turn");
             let replies = compute_replies(vec![permit.expect("a permit")], |sink| {

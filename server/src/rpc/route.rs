@@ -43,7 +43,7 @@ pub(crate) struct Routes {
 }
 
 impl Routes {
-    /// Plans within this limit; models are trained by those of `queries`.
+    /// Creates the services with this limit. The trainer of `queries` trains their models.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, trainer: queries.trainer(), permits: Permits::new(processors().max(2)) }
     }
@@ -74,8 +74,8 @@ impl Routes {
         run_blocking(self.permits.take().await?, work).await
     }
 
-    /// Runs a plan on a blocking thread, with a permit. It is told to stop `within` a time of its start, and when its
-    /// client is gone.
+    /// Runs a plan on a blocking thread, with a permit. The plan gets a stop signal at `within` after its start, or
+    /// when its client is gone.
     async fn run_plan<T: Send + 'static>(
         &self,
         within: Option<Duration>,

@@ -23,12 +23,13 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
-/// Times whose phasors are held at once.
+/// Number of times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
-/// Times at which a trained model predicts between two looks at the stop signal: the slowest takes some 0.1 ms for one.
+/// Number of times at which a trained model predicts between two checks of the stop signal: the slowest model takes
+/// some 0.1 ms for one time.
 pub(super) const TRAINED_TIMES: usize = 256;
 
-/// What a prediction for a plan needs.
+/// The context of a prediction for a plan.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictContext<'a> {
     pub trainer: &'a Arc<ModelTrainer>,
@@ -40,7 +41,7 @@ pub(super) struct PredictContext<'a> {
 /// Checks that states or cells support a model that updates publish.
 ///
 /// # Errors
-/// The first that does not.
+/// The error of the first state or cell that does not.
 pub(super) fn check_published<'a>(
     view: &MapView,
     subjects: impl IntoIterator<Item = &'a StateOrCell>,

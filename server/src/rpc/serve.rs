@@ -52,15 +52,15 @@ const TOPOLOGY_BYTES: usize = 12 << 20;
 const LANDMARK_BYTES: usize = 4 << 20;
 /// Maximum number of concurrent requests of one connection.
 const STREAMS_PER_CONNECTION: u32 = 64;
-/// Bytes of a stream that are sent and not read yet.
+/// Maximum number of bytes of a stream that are sent and not read yet.
 const STREAM_WINDOW: u32 = 256 * 1024;
-/// Room around the columns of a message.
+/// Room for the fields of a message besides its columns.
 const MESSAGE_OVERHEAD: usize = 4096;
 
 /// The services behind guard and admission, for the requests of one port.
 pub(crate) type GuardedServices = AdmittedService<service::Routes>;
 
-/// Questions behind guard and admission, for answers that are no messages of the wire.
+/// The queries behind guard and admission, for answers that are not wire messages.
 pub(crate) type GuardedQueries = AdmittedService<Arc<Queries>>;
 
 /// The services of all ports.
@@ -70,16 +70,16 @@ pub(crate) struct Services {
     queries: Arc<Queries>,
     admission: Admission,
     health: Health,
-    /// Where daemons share maps.
+    /// The gateway, if daemons share maps.
     gateway: Option<ClusterGateway>,
 }
 
-/// What the health service says.
+/// The health service's state.
 #[derive(Clone, Debug)]
 pub(crate) struct Health(HealthReporter);
 
 impl Health {
-    /// Tells whether requests are served as they should be, of the daemon as a whole and of two of its services.
+    /// Sets whether requests are served normally, for the daemon as a whole and for two of its services.
     pub(crate) async fn tell(&self, is_ready: bool) {
         let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
         let observation = <ObservationServiceServer<Observations> as NamedService>::NAME;
@@ -90,7 +90,7 @@ impl Health {
 }
 
 impl Services {
-    /// The health service, which says that nothing is served until it is told.
+    /// The health service. It reports that nothing is served until [`Health::tell`] is called.
     pub(crate) fn health(&self) -> Health {
         self.health.clone()
     }
@@ -102,23 +102,23 @@ impl Services {
         if let Some(gateway) = self.gateway.clone() {
             router = router.layer(from_fn_with_state(gateway, answer_or_pass));
         }
-        // The layer that is added last gets a request first.
+        // The layer that is added last receives a request first.
         router = router.layer(serve_caller);
         if self.gateway.is_some() {
             router = router.layer(from_fn(keep_authorization));
         }
-        // Every request passes it, also one of a method that does not exist.
+        // Every request passes the admission, including one of a method that does not exist.
         self.admission.service(service::Routes::from(router), access)
     }
 
-    /// Questions for callers with this access.
+    /// The queries for callers with this access.
     pub(crate) fn guarded_queries(&self, access: Access) -> GuardedQueries {
         self.admission.service(Arc::clone(&self.queries), access)
     }
 }
 
-/// Makes the services of a daemon that serves its page there. `shared`: the daemons that share maps, if this is one of
-/// them.
+/// Makes the services of a daemon that serves its page at this address. `shared`: the daemons that share maps, if this
+/// is one of them.
 pub(crate) async fn services(
     catalog: Arc<Catalog>,
     settings: &Settings,
@@ -228,7 +228,7 @@ pub(crate) async fn serve(
                 .register_encoded_file_descriptor_set(DESCRIPTORS)
                 .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         };
-        // Older tools ask for v1alpha only.
+        // Older tools use v1alpha only.
         services.routes =
             services.routes.add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
     }
@@ -239,7 +239,7 @@ pub(crate) async fn serve(
     Server::builder()
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .initial_stream_window_size(STREAM_WINDOW)
-        // Streams of a saturated map are not read for long; the other streams of the connection continue.
+        // A stream of a saturated map may stay unread for long; the other streams of the connection continue.
         .initial_connection_window_size(STREAM_WINDOW * STREAMS_PER_CONNECTION)
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))

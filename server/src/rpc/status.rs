@@ -1,6 +1,6 @@
 //! Errors as gRPC statuses with `google.rpc` details: the only place where a status is made.
 //!
-//! Invariant: the message says what is wrong, with which value, and what to do; programs read code and details.
+//! Invariant: the message states what is wrong, with which value, and what to do; programs read code and details.
 
 use std::{collections::HashMap, time::Duration};
 
@@ -42,12 +42,12 @@ use route_error::{landmark_refusal, refusal_of};
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
-/// When a request for which all places were taken may find one.
+/// Time after which a request for which all places were taken may find one.
 const RETRY_SOON: Duration = Duration::from_millis(100);
-/// When one that waited for a place in vain may find one.
+/// Time after which a request that waited for a place in vain may find one.
 const RETRY_LATER: Duration = Duration::from_secs(1);
 const NO_HELLO: &str = "no Hello within 10 seconds";
-/// Characters of a message that are kept of its beginning and of its end, which says what to do.
+/// Number of characters that are kept of the beginning of a message. Its end is kept too, because it states what to do.
 const HEAD_CHARS: usize = 1200;
 const TAIL_CHARS: usize = 600;
 
@@ -151,7 +151,7 @@ pub(crate) enum RpcError {
          one of another map. Connect again when some have ended"
     )]
     Crowded,
-    /// Nobody hears it.
+    /// Nobody receives this error.
     #[error(transparent)]
     Left(#[from] EarlyStop),
     #[error("map {map:?} is being opened: {done} of {total} records of its log are replayed; try again")]
@@ -202,7 +202,7 @@ fn shortened(text: String) -> String {
     format!("{head} … {tail}")
 }
 
-/// Seconds since 1970, because the client chooses the time zone.
+/// Formats a time as seconds since 1970, because the client chooses the time zone.
 fn shown_time(nanos: i64) -> String {
     format!("{} s after 1970-01-01T00:00:00Z", nanos.div_euclid(1_000_000_000))
 }
@@ -450,13 +450,13 @@ impl RpcError {
         }
     }
 
-    /// The message. A request may have names and values of any length; such a message is cut in its middle.
+    /// The message. A request may have names and values of any length; a message that is too long is cut in its middle.
     pub(crate) fn message(&self) -> String {
         shortened(self.to_string())
     }
 }
 
-/// When a request that found no room may be sent again; `None`: the same request is refused again.
+/// The time after which a request that found no room may be sent again; `None`: the same request is refused again.
 fn retry_after(error: &RpcError) -> Option<Duration> {
     match error {
         RpcError::Share(full) if full.share.ends_soon() => Some(RETRY_SOON),

@@ -1,6 +1,6 @@
 //! `TaskService`: the tasks of a map, kept plans of days, and reports of what was done.
 //!
-//! Invariant: what is changed is durable before it is answered. A report is an observation, taken exactly once.
+//! Invariant: every change is durable before it is answered. A report is an observation, taken exactly once.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ pub(crate) struct Tasks {
     pub catalog: Arc<Catalog>,
     pub explorations: Explorations,
     pub observations: Observations,
-    /// Leave to compute figures.
+    /// Permits to compute figures.
     pub(super) permits: Permits,
 }
 
@@ -104,7 +104,7 @@ impl TaskService for Tasks {
         let request = request.into_inner();
         find_map(&self.catalog, &request.map).await?;
         let run = run_from_wire(&request, self.now_nanos()).map_err(RpcError::from)?;
-        // Without an end, it is the time of the request, which differs when the request is sent again.
+        // Without an end time the daemon takes the time of the request, which differs when the request is sent again.
         let once = request.end_time.is_none().then_some(1);
         let sent_as = SentAs {
             start: start_of_run(&request).map_err(RpcError::from)?,

@@ -1,7 +1,7 @@
-//! Trains models on the readings of a state or a cell, for the requests that ask for them.
+//! Trains models on the readings of a state or a cell, for the requests that need them.
 //!
-//! A request takes one view, and a permit before it computes. The view itself answers by the models `auto`, `mean`,
-//! `latest` and `spectral`, at once. All other models are trained on request:
+//! A request takes one view, and a permit before it computes. The view itself answers at once with the models `auto`,
+//! `mean`, `latest` and `spectral`. All other models are trained on request:
 //!
 //! ```text
 //! the model cache ([`crate::model_cache`])   by map, generation, state, and model with its parameters
@@ -56,7 +56,7 @@ use crate::{
 mod flows;
 mod positions;
 
-/// Flows of the cache: a large one takes 80 MB.
+/// Maximum number of flows in the cache: a large one takes 80 MB.
 const FLOWS_MAX: usize = 8;
 
 /// Trains models, or takes them from the cache.
@@ -98,7 +98,7 @@ impl LearnedState {
         self.target.learned(&self.view)
     }
 
-    /// The samples that observations stand for, of which there are at most `max`.
+    /// The samples that observations represent. There are at most `max`.
     fn samples_of(&self, kind: ModelKind, observed: Vec<Reading>, max: u64) -> Result<Arc<[Sample]>, RpcError> {
         let mut readings = observed;
         if let StateOrCell::State(id) = self.target {
@@ -112,7 +112,7 @@ impl LearnedState {
         }
     }
 
-    /// What identifies a model of it. `place`: of a model by place, the first axis of the place.
+    /// The key of a model of this state or cell. `place` is the first axis of the place, for a model by place.
     fn key(&self, kind: ModelKind, place: Option<StateId>) -> ModelKey {
         let (map, handle, generation) = (self.handle.id, self.handle.number, self.view.generation());
         ModelKey { map, handle, generation, subject: self.target.subject(), kind, place }
@@ -128,8 +128,8 @@ impl LearnedState {
 }
 
 impl ModelTrainer {
-    /// Limits the caches to `max_trained` models, and a training to `max_readings` readings. What requests hold is
-    /// taken of these shares.
+    /// Creates a trainer that limits the caches to `max_trained` models, and a training to `max_readings` readings. The
+    /// models that requests hold take from these shares.
     pub(super) fn new(catalog: Arc<Catalog>, max_trained: usize, max_readings: u64, shares: Shares) -> Self {
         // The other half of the processors stays free.
         let slow_permits = Permits::new((processors() / 2).max(1));
@@ -148,7 +148,7 @@ impl ModelTrainer {
         }
     }
 
-    /// Several models of a state, each as [`ModelTrainer::trained`] gives it, from readings that are gathered once.
+    /// Several models of a state, each as from [`ModelTrainer::trained`], from readings that are gathered once.
     ///
     /// # Errors
     /// The readings cannot be read, or no permit was free in time.
@@ -191,8 +191,8 @@ impl ModelTrainer {
         self.models.train_once(key, move |stop| async move { this.train(&learned, kind, stop).await }).await
     }
 
-    /// What the observations of states stand for within an interval, learned or pending: a list per state, ascending by
-    /// time.
+    /// The readings that the observations of states represent within an interval, learned or pending: a list per state,
+    /// ascending by time.
     ///
     /// # Errors
     /// The map keeps no history, or it cannot be read; too many readings.
@@ -236,7 +236,7 @@ impl ModelTrainer {
         Ok(found)
     }
 
-    /// Room for the models that a request holds, none yet.
+    /// Reserves room for the models that a request holds, none yet.
     ///
     /// # Errors
     /// [`RpcError::Share`] if all requests together, or those of the client, would hold too many.
@@ -244,7 +244,7 @@ impl ModelTrainer {
         self.shares.take(Share::TrainedModels, &Client::current(), 0)
     }
 
-    /// Checks what is known without reading any observation.
+    /// Checks the conditions that need no observation to be read.
     fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
         let retention = retention(&learned.handle.spec, learned.target.subject());
         let retention = retention.ok_or_else(|| {
@@ -289,7 +289,7 @@ impl ModelTrainer {
     ) -> Result<Arc<[Sample]>, RpcError> {
         let subject = learned.target.subject();
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
-        // Without pending observations, and without waiting for a running update.
+        // The query excludes pending observations, and does not wait for a running update.
         let mut tail = read(&learned.handle, &ReadingsQuery { subject, within_nanos: 0..0, enough }).await?;
         let generation = learned.view.generation();
         // An update may have ended since the view was taken.
@@ -314,7 +314,7 @@ impl ModelTrainer {
     }
 }
 
-/// Why a model cannot be trained on `kept` readings, if at most `max` are allowed.
+/// The reason why a model cannot be trained on `kept` readings, if at most `max` are allowed.
 fn lacking(kept: u64, max: u64) -> Option<ModelUnavailable> {
     match kept {
         _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),

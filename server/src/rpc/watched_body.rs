@@ -1,6 +1,6 @@
 //! The body of a request or of a reply that ends when the caller's token is revoked.
 //!
-//! Invariant: it changes no byte before that, and gives none after it.
+//! Invariant: the body changes no byte before the revocation, and has no bytes after it.
 
 use std::{
     fmt,
@@ -16,7 +16,7 @@ use tonic::Status;
 use super::status::RpcError;
 use crate::access::{Caller, keyring::Keyring};
 
-/// Which way the body goes.
+/// The direction of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Direction {
     /// To the daemon: it breaks off with an error.
@@ -25,7 +25,7 @@ pub(super) enum Direction {
     Reply,
 }
 
-/// A body under watch.
+/// A body that is watched.
 pub(super) struct WatchedBody {
     inner: Body,
     revoked: Pin<Box<dyn Future<Output = ()> + Send>>,
@@ -76,7 +76,7 @@ impl http_body::Body for WatchedBody {
     }
 
     fn size_hint(&self) -> SizeHint {
-        // A length would promise what a revocation could break.
+        // An exact length would be a promise that a revocation could break.
         SizeHint::default()
     }
 }

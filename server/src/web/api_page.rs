@@ -1,7 +1,7 @@
 //! The API page of the guide, `docs/src/api.md`, made from the descriptors of the wire, their comments and the table of
 //! roles.
-//!
-//! Invariant: the page in the guide is what this makes. After a change of the wire, `make api-page` writes it again.
+//! Invariant: the page in the guide is equal to the output of this module. After a change of the wire, `make api-page`
+//! writes the page again.
 
 use std::{collections::BTreeSet, env, fmt::Write as _, fs, path::Path};
 

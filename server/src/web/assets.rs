@@ -1,7 +1,7 @@
 //! The files of the page, as they are built in.
 //!
-//! Invariant: the daemon needs no file beside itself. What is served is what `client/web` was built to. Each file is
-//! unpacked once, on no thread that answers others, and all readers share its bytes.
+//! Invariant: the daemon needs no other files to serve the page. It serves the files that were built from `client/web`.
+//! Each file is unpacked once, on no thread that answers others, and all readers share its bytes.
 
 use std::sync::LazyLock;
 
@@ -17,13 +17,13 @@ use tokio::sync::OnceCell;
 
 use crate::{connections::unread::SharedContent, task::NoResult};
 
-/// A file of the page.
+/// A file that belongs to the page.
 struct Asset {
-    /// Its path below `/`.
+    /// The path below `/`.
     path: &'static str,
-    /// Its content, compressed by gzip.
+    /// The content, compressed by gzip.
     gzip: &'static [u8],
-    /// Changes with the content.
+    /// A tag that changes with the content.
     tag: &'static str,
 }
 
@@ -47,7 +47,7 @@ fn content_type(path: &str) -> &'static str {
     }
 }
 
-/// The content of each file for those who do not take gzip, from the first time that one of them asks.
+/// The content of each file for clients that do not take gzip. It is unpacked at the first such request.
 static PLAIN: LazyLock<Vec<OnceCell<Bytes>>> = LazyLock::new(|| ASSETS.iter().map(|_| OnceCell::new()).collect());
 
 /// The number of a file.
@@ -82,7 +82,7 @@ async fn answer(number: usize, headers: &HeaderMap) -> Response {
     let mut response = Response::new(Body::empty());
     let out = response.headers_mut();
     out.insert(header::ETAG, HeaderValue::from_static(asset.tag));
-    // Built names change with their content, all others are asked for again.
+    // The names of built files change with their content; all other files are requested again each time.
     let is_hashed = asset.path.starts_with("assets/");
     let caching = if is_hashed { "public, max-age=31536000, immutable" } else { "no-cache" };
     out.insert(header::CACHE_CONTROL, HeaderValue::from_static(caching));
@@ -116,7 +116,7 @@ async fn asset(request: Request) -> Response {
     }
 }
 
-/// The page itself; it reads its path by itself.
+/// The page itself; its script reads the path.
 async fn page(request: Request) -> Response {
     match find(INDEX) {
         Some(number) => answer(number, request.headers()).await,

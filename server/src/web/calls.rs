@@ -1,6 +1,6 @@
 //! Calls of RPCs that answer a link. They use the caller's token, and the same guard and bounds as calls of any client.
 //!
-//! Invariant: types of the wire go no further than here.
+//! Invariant: the types of the wire are used only in this module.
 
 use std::collections::HashMap;
 
@@ -28,7 +28,7 @@ use crate::{connections::Remote, rpc::serve::GuardedServices};
 /// Maximum size of one reply of an RPC.
 pub(super) const REPLY_BYTES: usize = 8 << 20;
 
-/// Who asks: requests to the RPCs carry the caller's token, and count for the caller's connection.
+/// The caller: requests to the RPCs carry the caller's token, and count for the caller's connection.
 pub(super) struct Caller {
     token: Option<HeaderValue>,
     remote: Option<Remote>,
@@ -45,7 +45,7 @@ impl Caller {
         Self { token: headers.get(header::AUTHORIZATION).cloned(), remote: extensions.get().cloned() }
     }
 
-    /// A request of this caller.
+    /// Makes a request of this caller.
     pub(super) fn request<T>(&self, message: T) -> tonic::Request<T> {
         let mut request = tonic::Request::new(message);
         if let Some(token) = &self.token
@@ -60,7 +60,7 @@ impl Caller {
     }
 }
 
-/// The services, asked for a caller about a map.
+/// The services, called for a caller about a map.
 pub(super) struct Calls<'a> {
     pub services: &'a GuardedServices,
     pub caller: &'a Caller,
@@ -103,7 +103,7 @@ impl Calls<'_> {
         Ok(reply.map.is_some_and(|map| map.real_clock))
     }
 
-    /// What is predicted of the edges for a robot that enters them at a time, nanoseconds UTC.
+    /// The predictions for the edges, for a robot that enters them at a time, nanoseconds UTC.
     ///
     /// # Errors
     /// The RPC refused or failed.
@@ -118,8 +118,8 @@ impl Calls<'_> {
         converted(move || predictions_from_wire(reply)).await
     }
 
-    /// The probability that an object is there, by the name of the node; empty for the default kind if nobody was
-    /// looked for.
+    /// The probability that an object is there, by the name of the node. It is empty for the default kind if no
+    /// presence was observed.
     ///
     /// # Errors
     /// The RPC refused or failed.
@@ -133,7 +133,7 @@ impl Calls<'_> {
         };
         match client.predict_presence(self.caller.request(question)).await {
             Ok(reply) => Ok(presence_of_nodes(reply.into_inner()).collect()),
-            // Nobody was looked for, or the states of nodes are not about presence.
+            // No presence was observed, or the states of nodes are not about presence.
             Err(status) if object.is_empty() && status.code() == Code::FailedPrecondition => Ok(HashMap::new()),
             Err(status) => Err(status),
         }

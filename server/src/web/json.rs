@@ -1,9 +1,9 @@
 //! RPCs as JSON: `POST /api/v1/SERVICE/METHOD` with the request as an object.
 //!
-//! Invariant: messages are read and written by their descriptors alone, so each RPC that does not stream requests is
-//! here as it is on the wire. A stream of replies is one object a line (NDJSON); an error inside it is its last line.
-//! Nothing of a request is read before it is admitted, and no message but the smallest is converted on a thread that
-//! answers others. A number that would be a time before 1990 reaches no map with a real clock.
+//! Invariant: messages are read and written by their descriptors alone, so each RPC that does not stream requests has
+//! the same form as on the wire. A stream of replies is one object a line (NDJSON); an error inside it is its last
+//! line. Nothing of a request is read before it is admitted, and no message but the smallest is converted on a thread
+//! that answers others. A number that would be a time before 1990 reaches no map with a real clock.
 
 use axum::{
     body::{Body, Bytes},
@@ -30,21 +30,22 @@ use crate::{
     rpc::{admission::Admitted, status::code_name},
 };
 
-/// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.
+/// Maximum size of a request as JSON; larger requests go over gRPC. An object takes up to fifty times the size of its
+/// text in memory.
 const REQUEST_BYTES: usize = 1 << 20;
-/// Messages beyond this are converted one after the other.
+/// Messages that are larger than this are converted one after the other.
 const SMALL_MESSAGE_BYTES: usize = 64 << 10;
-/// Messages of at most so many bytes are converted at once, in less time than another thread takes to begin.
+/// Messages of at most this size are converted at once, in less time than another thread takes to begin.
 const TINY_MESSAGE_BYTES: usize = 1 << 10;
 /// Maximum size of one reply message on the wire, before it becomes JSON.
 const REPLY_BYTES: usize = 8 << 20;
 
-/// The answer of a JSON document that is there.
+/// The response with a JSON document.
 pub(super) fn ok(document: Bytes) -> Response {
     reply(StatusCode::OK, "application/json", Body::from(document))
 }
 
-/// An answer that is never kept.
+/// A response that caches do not store.
 pub(super) fn reply(code: StatusCode, content_type: &'static str, body: Body) -> Response {
     let mut response = Response::new(body);
     *response.status_mut() = code;
@@ -55,7 +56,7 @@ pub(super) fn reply(code: StatusCode, content_type: &'static str, body: Body) ->
     response
 }
 
-/// An error that no RPC gave.
+/// An error that does not come from an RPC.
 pub(super) fn failure(http: StatusCode, code: &str, reason: &str, message: &str) -> Response {
     let error = json!({ "error": { "code": code, "reason": reason, "message": message } });
     reply(http, "application/json", Body::from(error.to_string()))
@@ -91,7 +92,7 @@ fn error_object(status: &Status) -> Value {
     json!({ "error": error })
 }
 
-/// The answer of an error that an RPC gave.
+/// The response for an error of an RPC.
 pub(super) fn status_reply(status: &Status) -> Response {
     reply(http_code(status.code()), "application/json", Body::from(error_object(status).to_string()))
 }
@@ -100,7 +101,7 @@ fn invalid(message: &str) -> Response {
     failure(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "INVALID_JSON", message)
 }
 
-/// The method of a path; its service with or without the package.
+/// The method of a path; the service may be given with or without the package.
 fn method(gateway: &Gateway, service: &str, method: &str) -> Option<MethodDescriptor> {
     let service = service.strip_prefix("tidemap.v1.").unwrap_or(service);
     let service = gateway.pool.get_service_by_name(&format!("tidemap.v1.{service}"))?;
@@ -112,7 +113,7 @@ fn is_json(headers: &HeaderMap) -> bool {
     media_type.split(';').next().is_some_and(|media| media.trim().eq_ignore_ascii_case("application/json"))
 }
 
-/// A request as it is on the wire, and the first number of it that is an early time.
+/// A request in wire format, and its first number that is an early time.
 fn parse(text: &[u8], input: MessageDescriptor) -> Result<(Bytes, Option<Early>), String> {
     // No text at all is a request without fields.
     let text = if text.trim_ascii().is_empty() { b"{}" } else { text };
@@ -124,7 +125,7 @@ fn parse(text: &[u8], input: MessageDescriptor) -> Result<(Bytes, Option<Early>)
     Ok((message.encode_to_vec().into(), early))
 }
 
-/// A message as one line. Fields with their defaults are there as well: a probability of 0 is a statement.
+/// A message as one line. It includes fields that have their defaults, because a probability of 0 is information.
 fn line(message: Bytes, output: MessageDescriptor) -> Result<Vec<u8>, Status> {
     let message = DynamicMessage::decode(output, message).map_err(|error| Status::internal(error.to_string()))?;
     let mut text = Vec::new();
@@ -136,7 +137,7 @@ fn line(message: Bytes, output: MessageDescriptor) -> Result<Vec<u8>, Status> {
     Ok(text)
 }
 
-/// Does the work on a message of so many bytes.
+/// Does the work on a message of this size.
 async fn convert<T: Send + 'static>(bytes: usize, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Status> {
     if bytes <= TINY_MESSAGE_BYTES {
         return Ok(work());
@@ -145,7 +146,7 @@ async fn convert<T: Send + 'static>(bytes: usize, work: impl FnOnce() -> T + Sen
 }
 
 impl Gateway {
-    /// A turn for a large message; others need none.
+    /// Waits for the turn of a large message; other messages need none.
     async fn turn(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
         if bytes <= SMALL_MESSAGE_BYTES {
             return None;
@@ -157,12 +158,12 @@ impl Gateway {
     async fn converted(&self, message: Bytes, output: MessageDescriptor) -> Result<Bytes, Status> {
         let bytes = message.len();
         let turn = self.turn(bytes).await;
-        // The work has the turn, also when nobody waits for it any more.
+        // The work holds the turn, also when nobody waits for it any more.
         let work = move || (line(message, output), turn);
         convert(bytes, work).await?.0.map(Bytes::from)
     }
 
-    /// The message of a request that was admitted, as it is on the wire.
+    /// Reads the message of an admitted request, and converts it to wire format.
     async fn read(
         &self,
         admitted: &Admitted,
@@ -172,7 +173,7 @@ impl Gateway {
         let refused = |status: Status| {
             let mut response = status_reply(&status);
             if status.code() == Code::DeadlineExceeded {
-                // It is the client that was late, and no server behind this one.
+                // The client was late, and not a server behind this one.
                 *response.status_mut() = StatusCode::REQUEST_TIMEOUT;
             }
             Box::new(response)
@@ -181,7 +182,7 @@ impl Gateway {
             let place = (bytes > SMALL_MESSAGE_BYTES).then(|| self.services.large_json(admitted)).transpose();
             place.map_err(|error| refused(error.into()))
         };
-        // Before it is read, if its length is said.
+        // The room is reserved before the body is read, if the length is declared.
         let declared = usize::try_from(http_body::Body::size_hint(&body).lower()).unwrap_or(usize::MAX);
         let known = place(declared)?;
         let text = self.services.read_all(admitted, body, REQUEST_BYTES).await.map_err(refused)?;
@@ -197,8 +198,8 @@ impl Gateway {
         message.map_err(|error| Box::new(invalid(&error)))
     }
 
-    /// The refusal of an early time of a map whose clock is real. Where that cannot be asked, the call itself is
-    /// refused.
+    /// The refusal of an early time for a map whose clock is real. If it is unknown whether the clock is real, the RPC
+    /// itself refuses the call.
     async fn refused_time(&self, early: &Early, (path, message): (&str, &[u8]), caller: &Caller) -> Option<Response> {
         let map = map_of(path, message)?;
         let calls = Calls { services: &self.services, caller, map };

@@ -1,7 +1,8 @@
-//! What people link to: a grid at a time as a picture, and the topological map at a time as GeoJSON.
+//! The documents that people link to: a grid at a time as a picture, and the topological map at a time as GeoJSON.
 //!
-//! Invariant: they pass the same guard and admission as the RPCs, with the caller's token, so that permissions and
-//! limits are the same. What is served has a tag of its content, and is asked for again each time.
+//! Invariant: requests for them pass the same guard and admission as the RPCs, with the caller's token, so that
+//! permissions and limits are the same. Each document has a tag of its content, and browsers request it again each
+//! time.
 
 use axum::{
     body::Body,
@@ -30,14 +31,14 @@ pub(super) use parameters::Given;
 pub(super) use picture::{PARAMETERS as PICTURE_PARAMETERS, grid_png};
 pub(super) use topology::{PARAMETERS as TOPOLOGY_PARAMETERS, topology_geojson};
 
-/// Why there is no content.
+/// The reason why there is no content.
 #[derive(Debug)]
 pub(super) enum Failure {
     /// An RPC refused or failed.
     Refused(Status),
     /// A parameter is wrong, or there is nothing to show.
     Invalid(String),
-    /// The content is too large; what to do instead.
+    /// The content is too large; the text states what to do instead.
     TooLarge(String),
 }
 
@@ -60,7 +61,7 @@ impl From<InvalidTime> for Failure {
 }
 
 impl Failure {
-    /// The answer.
+    /// The response for this failure.
     pub(super) fn response(&self) -> Response {
         match self {
             Self::Refused(status) => json::status_reply(status),
@@ -70,18 +71,18 @@ impl Failure {
     }
 }
 
-/// A parameter of an address, as the description of the interface shows it.
+/// A parameter of an address, as the description of the interface contains it.
 #[derive(Clone, Copy)]
 pub(super) struct Parameter {
     /// Name of the parameter, as in the query of an address.
     pub name: &'static str,
-    /// What it means, and its default.
+    /// The meaning of the parameter, and its default.
     pub description: &'static str,
     /// A value to try.
     pub example: &'static str,
 }
 
-/// Who asks for a link, and what the asker has already.
+/// The caller that requests a link, and the tag of the content that the caller has already.
 struct Visitor {
     caller: Caller,
     known_tag: Option<HeaderValue>,
@@ -92,12 +93,12 @@ impl Visitor {
         Self { caller: Caller::of(request), known_tag: request.headers().get(header::IF_NONE_MATCH).cloned() }
     }
 
-    /// The RPCs about a map.
+    /// The RPCs about a map, for this caller.
     fn calls<'a>(&'a self, gateway: &'a Gateway, map: &'a str) -> Calls<'a> {
         Calls { services: &gateway.services, caller: &self.caller, map }
     }
 
-    /// The content, or that the asker has it already.
+    /// The response with the content, or with the status that the caller has it already.
     fn answer(&self, content_type: &'static str, content: Vec<u8>, facts: HeaderMap) -> Response {
         let digest = ring::digest::digest(&ring::digest::SHA256, &content);
         let hex: String = digest.as_ref().iter().take(12).map(|byte| format!("{byte:02x}")).collect();
@@ -107,7 +108,7 @@ impl Visitor {
             if is_known { StatusCode::NOT_MODIFIED.into_response() } else { Body::from(content).into_response() };
         let headers = response.headers_mut();
         headers.extend(facts);
-        // The next observation or update may change it.
+        // The next observation or update may change the content.
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
         headers.insert(header::VARY, HeaderValue::from_static("authorization"));
         headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
@@ -122,11 +123,11 @@ impl Visitor {
 
 /// A time of an address: Unix seconds, RFC 3339 or `now`.
 fn time(text: &str) -> Result<i64, Failure> {
-    // A plus in an address may have become a space, as forms write it.
+    // A form writes a space as a plus, so that the plus of a time in an address may have become a space.
     if text == "now" { Ok(SystemClock.now_nanos()) } else { Ok(parse_time(&text.replace(' ', "+"))?) }
 }
 
-/// Runs a computation that takes memory, off the async threads; few run at once.
+/// Runs a computation that takes much memory, off the async threads; few run at once.
 async fn in_turn<T: Send + 'static>(
     gateway: &Gateway,
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,

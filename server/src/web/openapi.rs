@@ -1,6 +1,7 @@
 //! The description of the JSON interface (OpenAPI 3.1), made from the descriptors of the wire and their comments.
 //!
-//! Invariant: it has each RPC that JSON can call, what can be linked to, where recordings go, and nothing else.
+//! Invariant: it contains each RPC that JSON can call, the documents to link to, the path of recordings, and nothing
+//! else.
 
 use axum::body::Bytes;
 use prost_reflect::{
@@ -31,7 +32,7 @@ fn described(mut schema: Value, text: String) -> Value {
     schema
 }
 
-/// A name in the document: that of the message without the package.
+/// The name of a message in the document: its full name without the package.
 pub(super) fn name_of(full_name: &str) -> &str {
     full_name.strip_prefix("tidemap.v1.").unwrap_or(full_name)
 }
@@ -76,7 +77,7 @@ fn kind(kind: &Kind) -> Value {
     }
 }
 
-/// A time of a request; replies have one form of it.
+/// The schema of a time in a request; times in replies have one form only.
 fn time() -> Value {
     json!({
         "description": "RFC 3339, or nanoseconds since 1970.",
@@ -140,7 +141,7 @@ fn operation(method: &MethodDescriptor) -> Value {
     described(operation, text)
 }
 
-/// What can be linked to: its path, what it is, its parameters, and the type of its content.
+/// The documents to link to: the path, the description, the parameters, and the type of the content of each.
 const LINKS: [(&str, &str, &[Parameter], &str); 2] = [
     (
         "/api/v1/maps/{name}/grid.png",
@@ -163,7 +164,7 @@ fn part(name: &str, text: &str) -> Value {
     json!({ "name": name, "in": "path", "required": true, "schema": { "type": "string" }, "description": text })
 }
 
-/// Parameters of an address: those in its path, then these.
+/// All parameters of an address: those in its path, then the others.
 fn all_parameters(parts: impl IntoIterator<Item = Value>, parameters: &[Parameter]) -> Vec<Value> {
     let others = parameters.iter().map(|parameter| {
         let mut described = json!({
@@ -178,7 +179,7 @@ fn all_parameters(parts: impl IntoIterator<Item = Value>, parameters: &[Paramete
     parts.into_iter().chain(others).collect()
 }
 
-/// The answer to a request that has no other.
+/// The response to a request that has no other response.
 fn error() -> Value {
     json!({
         "description": "The request was refused or failed; `error.message` says why.",
@@ -306,7 +307,7 @@ mod tests {
         let paths = document["paths"].as_object().expect("paths");
         let callable = pool.services().flat_map(|service| service.methods().collect::<Vec<_>>());
         let methods = callable.filter(|method| !method.is_client_streaming()).count();
-        // Recordings are looked at and sent.
+        // The path of recordings has a GET and a POST.
         assert_eq!(paths.values().filter(|path| path["post"].is_object()).count(), methods + 1);
         assert_eq!(paths.values().filter(|path| path["get"].is_object()).count(), paths.len() - methods);
         let schemas = document["components"]["schemas"].as_object().expect("schemas");

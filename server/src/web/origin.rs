@@ -1,7 +1,8 @@
-//! Who may send requests to the HTTP port from a browser: pages of the port itself.
+//! The origins from which browsers may send requests to the HTTP port: pages of the port itself.
 //!
 //! Invariant: a page of another origin gets no answer that it could read, and changes nothing. A page that reaches the
-//! port by a name of its own (DNS rebinding) is refused, because a name must be known; addresses are always known.
+//! port by a name of its own (DNS rebinding) is refused, because only known names are accepted; addresses are always
+//! known.
 
 use std::{net::IpAddr, sync::Arc};
 
@@ -17,17 +18,17 @@ use super::json;
 /// The host names by which the port may be reached.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownHosts {
-    /// `None`: any name. Where tokens are asked for, a page that came by another name has none.
+    /// `None`: any name. Where tokens are required, a page that came by another name has no token.
     names: Option<Arc<[String]>>,
 }
 
 impl KnownHosts {
-    /// Any name.
+    /// Accepts any name.
     pub(crate) fn any() -> Self {
         Self { names: None }
     }
 
-    /// `localhost`, addresses, and these names.
+    /// Accepts `localhost`, addresses, and these names.
     pub(crate) fn listed(names: &[String]) -> Self {
         Self { names: Some(names.iter().map(|name| name.to_ascii_lowercase()).collect()) }
     }
@@ -55,7 +56,7 @@ fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name).map(|value| value.to_str().unwrap_or(""))
 }
 
-/// Why a request is refused; `None` if it is not.
+/// The reason why a request is refused; `None` if it is not.
 fn refusal(hosts: &KnownHosts, request: &Request) -> Option<String> {
     let host = text(request.headers(), header::HOST).or_else(|| request.uri().authority().map(|host| host.as_str()));
     let Some(host) = host else { return Some("the request has no Host".to_owned()) };
@@ -73,12 +74,13 @@ fn refusal(hosts: &KnownHosts, request: &Request) -> Option<String> {
     (!is_own).then(|| "a page of another origin may not use this port".to_owned())
 }
 
-/// Whether a request comes by a known name, and from no page of another origin.
+/// Whether a request comes by a known name, and not from a page of another origin.
 pub(crate) fn is_own(hosts: &KnownHosts, request: &Request) -> bool {
     refusal(hosts, request).is_none()
 }
 
-/// Whether another site's document fetches it. Links come from anywhere, but not even a picture may be shown elsewhere.
+/// Whether a document of another site fetches the content. Any site may link to it, but no other site may embed it, not
+/// even a picture.
 fn is_embedded(request: &Request) -> bool {
     let says = |name: &str, word: &str| request.headers().get(name).is_some_and(|value| value == word);
     let is_link = request.method() == Method::GET
@@ -86,7 +88,7 @@ fn is_embedded(request: &Request) -> bool {
     says("sec-fetch-site", "cross-site") && !is_link
 }
 
-/// Refuses what pages of other origins send.
+/// Refuses requests of pages of other origins.
 pub(super) async fn check(State(hosts): State<KnownHosts>, request: Request, next: Next) -> Response {
     if let Some(reason) = refusal(&hosts, &request) {
         metrics::counter!("tidemap_foreign_requests_total").increment(1);

@@ -1,9 +1,9 @@
 //! Recordings that browsers and scripts send: `POST /api/v1/maps/NAME/recordings/FILE` imports a file into a map.
 //!
-//! Invariant: nothing of a file is read before its sender may observe the map, and create it if it does not exist. A
-//! file is taken when its sender and its map have a turn, is never whole in memory, and is gone when its import has
-//! ended. The daemon does not look into it, and unpacks nothing of it: the program `tidemap` does, in a process of its
-//! own that is stopped when nobody waits for it, and when its sender's token is no longer valid.
+//! Invariant: nothing of a file is read before it is checked that its sender may observe the map, and may create it if
+//! it does not exist. A file is taken when its sender and its map have a turn, is never whole in memory, and is removed
+//! when its import has ended. The daemon neither reads nor unpacks its content: the program `tidemap` does, in a
+//! process of its own that is stopped when nobody waits for it, and when its sender's token is no longer valid.
 
 use std::{path::PathBuf, sync::Arc};
 
@@ -76,7 +76,7 @@ pub(super) const PARAMETERS: &[Parameter; 2] = &[
     },
 ];
 
-/// What takes recordings. Clones share their turns.
+/// The state of the imports. Clones share its turns.
 #[derive(Clone)]
 pub(crate) struct Recordings(Arc<Inner>);
 
@@ -93,11 +93,11 @@ struct Inner {
 }
 
 impl Recordings {
-    /// Takes recordings of callers with this access, and removes what an earlier daemon left of them: files, and
-    /// programs that read them.
+    /// Takes recordings of callers with this access, and removes the files that an earlier daemon left, after ending
+    /// the programs that read them.
     ///
     /// # Errors
-    /// What was left cannot be removed.
+    /// The files or programs cannot be removed.
     pub(crate) fn new(
         settings: &Settings,
         services: &Services,
@@ -124,7 +124,7 @@ pub(super) fn router(recordings: Recordings) -> Router {
     Router::new().route(PATH, get(look).post(upload)).with_state(recordings)
 }
 
-/// A file that would be taken.
+/// A file that will be taken.
 struct Upload {
     program: PathBuf,
     map: MapName,
@@ -137,7 +137,7 @@ struct Upload {
 }
 
 impl Inner {
-    /// Whether a file of so many bytes is taken from the sender of this request.
+    /// Checks whether a file of this size is taken from the sender of this request.
     async fn admit(&self, (name, file): (String, String), head: &Parts, bytes: u64) -> Result<Upload, UploadError> {
         let given = Given::of(head.uri.query(), PARAMETERS)?;
         let admitted = self.guarded.admit(OBSERVE, &head.headers, &head.extensions)?;
@@ -146,7 +146,7 @@ impl Inner {
         }
         let map = MapName::new(&name)?;
         let file = file_name(&file)?;
-        // Files of one name have one label, so that a file that is sent again is recognised.
+        // All files of one name have one label, so that a file that is sent again is recognised.
         let key = ProducerKey::new(given.get("producer").unwrap_or(PRODUCER), &format!("upload/{file}"))?;
         admitted.caller().clone().scope(async { check_sender(map.as_str(), key.producer()) }).await?;
         let map_exists = self.map_exists(&map, head).await?;
@@ -160,7 +160,7 @@ impl Inner {
         Ok(Upload { program, map, map_exists, file, key, turn, admitted })
     }
 
-    /// Whether the map exists; if it does not, its sender has to be somebody who may create it.
+    /// Whether the map exists; if it does not, checks that its sender may create it.
     async fn map_exists(&self, map: &MapName, head: &Parts) -> Result<bool, UploadError> {
         let question = GetMapRequest { name: map.as_str().to_owned() };
         let question = Caller::of_head(&head.headers, &head.extensions).request(question);
@@ -184,7 +184,7 @@ fn program() -> Result<PathBuf, UploadError> {
     if program.is_file() { Ok(program) } else { Err(UploadError::NoProgram(program)) }
 }
 
-/// Says whether a file would be taken, so that nobody sends gigabytes that are refused.
+/// Reports whether a file would be taken, so that nobody sends gigabytes that are refused.
 async fn look(State(recordings): State<Recordings>, Path(names): Path<(String, String)>, request: Request) -> Response {
     let (head, _) = request.into_parts();
     let looked = async {
@@ -206,7 +206,7 @@ async fn look(State(recordings): State<Recordings>, Path(names): Path<(String, S
     }
 }
 
-/// The token that the sender proves itself by.
+/// The token with which the sender proves its identity.
 fn token(headers: &HeaderMap) -> Option<String> {
     let text = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
     let (scheme, token) = text.split_once(' ')?;
@@ -217,7 +217,7 @@ fn is_bytes(headers: &HeaderMap) -> bool {
     headers.get(header::CONTENT_TYPE).is_some_and(|media| media == "application/octet-stream")
 }
 
-/// Takes a file, imports it, and tells what becomes of it, one object a line.
+/// Takes a file, imports it, and sends the progress and the result, one object a line.
 async fn upload(
     State(recordings): State<Recordings>,
     Path(names): Path<(String, String)>,
@@ -230,7 +230,8 @@ async fn upload(
 }
 
 async fn import(inner: &Inner, names: (String, String), request: Request) -> Result<Body, UploadError> {
-    // No form of a page can send this type, so a page of another origin has to ask first.
+    // No form of a page can send this type, so that the browser of a page of another origin has to send a preflight
+    // request.
     let (head, body) = request.into_parts();
     if !is_bytes(&head.headers) {
         return Err(UploadError::MediaType);

@@ -1,7 +1,7 @@
 //! `/docs`: the JSON interface as a page for people, made from its description (OpenAPI).
 //!
-//! Invariant: the page runs no script and takes nothing from other hosts; its policy allows its own style alone. All
-//! text is escaped. It is compressed once, and all readers share its bytes.
+//! Invariant: the page runs no script and takes nothing from other hosts; its policy allows only its own style. All
+//! text is escaped. The page is compressed once, and all readers share its bytes.
 
 use std::{fmt::Write as _, io::Write as _};
 
@@ -115,7 +115,7 @@ fn table(rows: &str) -> String {
     if rows.is_empty() { String::new() } else { format!("<table>\n{rows}</table>\n") }
 }
 
-/// An operation of a path: what it is, what it takes, and what it gives.
+/// An operation of a path: its description, its input, and its output.
 fn operation(path: &str, method: &str, operation: &Value) -> String {
     let parameters = operation["parameters"].as_array().into_iter().flatten();
     let parameters: String = parameters

@@ -1,8 +1,7 @@
 //! Times in JSON: RFC 3339 or whole nanoseconds since 1970, in every field of a request that is a time or a
 //! row of times.
-//!
-//! Invariant: a text that has no such field, or only such times as the field's own form has, is not changed. Nothing is
-//! kept of a request but its text.
+//! Invariant: a text is not changed if it has no such field, or if its times have the form of their fields already.
+//! Nothing is kept of a request but its text.
 
 use std::{borrow::Cow, fmt};
 
@@ -11,21 +10,22 @@ use serde::de::{DeserializeSeed, Deserializer, MapAccess, SeqAccess, Visitor};
 use tidemap_map::spec::REAL_CLOCK_MIN_NANOS;
 use tidemap_model::time::{format_rfc3339, parse_time};
 
-/// The message of times that stand alone.
+/// The message type of single times.
 const TIMESTAMP: &str = "google.protobuf.Timestamp";
-/// `2025-` is how a time of RFC 3339 begins, and no number does.
+/// Number of digits before the first `-`: a time of RFC 3339 begins with `2025-`, and no number does.
 const YEAR_DIGITS: usize = 4;
 
-/// How a field holds a time.
+/// The form in which a field holds a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TimeForm {
-    /// As nanoseconds.
+    /// Nanoseconds.
     Nanos,
-    /// As a message of its own.
+    /// A message of its own.
     Timestamp,
 }
 
-/// How a field holds a time; `None`: it is no time. Whole numbers of fixed size are times, and nothing else is.
+/// The form in which a field holds a time; `None`: the field is no time. Whole numbers of fixed size are times, and
+/// nothing else is.
 pub(super) fn form_of(field: &FieldDescriptor) -> Option<TimeForm> {
     match field.kind() {
         Kind::Sfixed64 if field.name().ends_with("_nanos") => Some(TimeForm::Nanos),
@@ -34,25 +34,25 @@ pub(super) fn form_of(field: &FieldDescriptor) -> Option<TimeForm> {
     }
 }
 
-/// A number that is a time before 1990, as a clock that is not set gives, or another unit.
+/// A number that is a time before 1990, which comes from a clock that is not set, or from another unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Early {
     /// The field's name.
     pub field: String,
-    /// What it would be, nanoseconds since 1970.
+    /// The time that the number would be, nanoseconds since 1970.
     pub nanos: i64,
 }
 
-/// A request whose times have the form that their fields take.
+/// A request whose times have the form of their fields.
 #[derive(Debug)]
 pub(super) struct ReadRequest<'a> {
-    /// The request.
+    /// The text of the request.
     pub text: Cow<'a, [u8]>,
-    /// The first number of it that is early. A date that somebody wrote out is what was meant.
+    /// The first number that is early. A date that somebody wrote out is taken as it is.
     pub early: Option<Early>,
 }
 
-/// Reads the times of a request. What is no JSON stays as it is: who reads it next gives the error.
+/// Reads the times of a request. A text that is no JSON is not changed: the next reader reports the error.
 ///
 /// # Errors
 /// A time that is not valid, with its field.
@@ -83,7 +83,7 @@ impl Rewriter {
         let _ = serde_json::to_writer(&mut self.out, value);
     }
 
-    /// A number in the place of a time.
+    /// Writes a number that is in the place of a time.
     fn number(&mut self, field: &FieldDescriptor, form: TimeForm, nanos: i64) {
         // A single field that is 0 is a field that is not set.
         let is_unset = nanos == 0 && form == TimeForm::Nanos && !field.is_list();
@@ -100,7 +100,7 @@ impl Rewriter {
         }
     }
 
-    /// A text in the place of a time.
+    /// Writes a text that is in the place of a time.
     fn text(&mut self, field: &FieldDescriptor, form: TimeForm, text: &str) {
         if let Ok(nanos) = text.parse() {
             return self.number(field, form, nanos);
@@ -123,7 +123,7 @@ impl Rewriter {
     }
 }
 
-/// What a place of a request holds.
+/// The content of a place of a request.
 #[derive(Clone)]
 enum Holds {
     Message(MessageDescriptor),
@@ -132,7 +132,7 @@ enum Holds {
 }
 
 impl Holds {
-    /// What a member of an object holds.
+    /// The content of a member of an object.
     fn of(parent: &Holds, name: &str) -> Holds {
         let Holds::Message(message) = parent else { return Holds::Other };
         let field = message.get_field_by_json_name(name).or_else(|| message.get_field_by_name(name));
@@ -332,7 +332,7 @@ mod tests {
         }
     }
 
-    /// Each field of a request that is a row of times, or a single one, is found by its type and its name.
+    /// Every field of a request that is a time or a row of times is found by its type and its name.
     #[test]
     fn every_fixed_number_of_the_wire_is_a_time() {
         let pool = DescriptorPool::decode(tidemap_proto::v1::DESCRIPTORS).expect("descriptors");

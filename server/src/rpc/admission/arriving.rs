@@ -1,7 +1,7 @@
 //! The body of a request while it arrives.
 //!
 //! Invariant: a request of one message arrives within a bounded time, and pauses for a bounded time only; otherwise it
-//! ends with an error. Beyond [`SMALL_REQUEST_BYTES`] it takes of the bytes of large
+//! ends with an error. The bytes beyond [`SMALL_REQUEST_BYTES`] are taken from the share of the bytes of large
 //! requests.
 
 use std::{
@@ -19,17 +19,17 @@ use crate::{
     shares::{Share, Shares, Taken, client::Client},
 };
 
-/// How long a request is waited for.
+/// Maximum times to wait for a request.
 #[derive(Clone, Copy, Debug)]
 struct Patience {
-    /// A request of one message must arrive within this time, and so must each message of a request of many.
+    /// A request of one message must arrive within this time. In a request of many messages, each message must.
     whole: Duration,
     /// A request of one message may pause for this long; the first message of a request of many must begin within it.
     pause: Duration,
 }
 
 const PATIENCE: Patience = Patience { whole: Duration::from_secs(30), pause: Duration::from_secs(5) };
-/// A request of at most so many bytes is not large.
+/// Maximum number of bytes of a request that is not large.
 const SMALL_REQUEST_BYTES: usize = 64 << 10;
 
 /// A request that arrives.
@@ -37,9 +37,9 @@ pub(super) struct ArrivingBody {
     body: Body,
     is_streamed: bool,
     patience: Patience,
-    /// When all of it must be here.
+    /// The time by which the whole body must arrive.
     due: Instant,
-    /// When its next piece must be here.
+    /// The time by which its next piece must arrive.
     next: Pin<Box<Sleep>>,
     arrived: usize,
     client: Client,
@@ -58,7 +58,7 @@ impl ArrivingBody {
         Self { body, is_streamed, patience, due: now + patience.whole, next, arrived: 0, client, shares, held: None }
     }
 
-    /// Reserves room for what has arrived.
+    /// Reserves room for the bytes that have arrived.
     fn hold(&mut self, bytes: usize) -> Result<(), RpcError> {
         let large = |arrived: usize| arrived.saturating_sub(SMALL_REQUEST_BYTES);
         let more = large(self.arrived + bytes) - large(self.arrived);
@@ -71,10 +71,11 @@ impl ArrivingBody {
         Ok(())
     }
 
-    /// All of it, with what it holds of the bytes of large requests. `None`: it has more than `max` bytes or broke off.
+    /// Reads the whole body, with the room that it holds of the bytes of large requests. Returns `None` if the body has
+    /// more than `max` bytes or broke off.
     ///
     /// # Errors
-    /// It does not arrive in time, or there is no room.
+    /// The body does not arrive in time, or there is no room.
     pub(super) async fn read_all(mut self, max: usize) -> Result<Option<(Vec<u8>, Option<Taken>)>, Status> {
         let mut all = Vec::new();
         while let Some(frame) = std::future::poll_fn(|context| Pin::new(&mut self).poll_arrived(context)).await {
@@ -116,12 +117,12 @@ impl ArrivingBody {
     }
 }
 
-/// What comes of a request.
+/// The outcome of a part of a request.
 enum Arrived {
     Frame(Frame<Bytes>),
     /// The connection broke.
     Broken(Status),
-    /// It is too slow or too large.
+    /// The request is too slow or too large.
     Refused(RpcError),
 }
 

@@ -48,10 +48,10 @@ pub(super) async fn plan_day(
 /// The plan of a day.
 pub(in crate::rpc) struct PlannedDay {
     rows: Vec<DayRow>,
-    /// Names of what is explored.
+    /// Names of the targets to explore.
     names: Vec<String>,
     slots: DaySlots,
-    /// The tasks, if they were asked for.
+    /// The tasks, if they were requested.
     tasks: Option<PlannedTasks>,
 }
 
@@ -80,7 +80,7 @@ impl PlannedDay {
 }
 
 impl Explorations {
-    /// Plans a day: tasks first, if they are asked for, then exploration.
+    /// Plans a day: tasks first, if they are requested, then exploration.
     pub(in crate::rpc) async fn planned_day(
         &self,
         handle: &Arc<MapHandle>,
@@ -113,7 +113,7 @@ impl Explorations {
             tasks.as_ref().is_some_and(|tasks| tasks.steps.iter().any(overlaps))
         };
         let busy: Vec<bool> = (0..slots.count()).map(is_busy).collect();
-        // Nothing is worth a look while a task is done.
+        // While a task is done, no observation has a value.
         let value =
             |nanos, place| slots.slot_at(nanos).filter(|slot| !busy[*slot]).map_or(0.0, |slot| values.at(slot, place));
         let DayQuestion { strategy, budget, seed, .. } = question;
@@ -135,7 +135,7 @@ fn task_states(view: &MapView, names: &[String]) -> Result<Vec<StateId>, RpcErro
     Ok(tasks)
 }
 
-/// A question, and the view that answers it.
+/// A question about a day, and the view that answers it.
 struct Day<'a> {
     explorations: &'a Explorations,
     handle: &'a Arc<MapHandle>,

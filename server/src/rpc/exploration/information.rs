@@ -33,7 +33,7 @@ use crate::{
 /// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
 
-/// What information is asked of.
+/// A target whose information is requested.
 struct Target {
     name: String,
     states: Vec<StateOrCell>,

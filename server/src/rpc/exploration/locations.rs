@@ -28,8 +28,8 @@ pub(super) struct Locations {
     pub members: Vec<Vec<StateOrCell>>,
 }
 
-/// The locations to choose from, with at most `max` states and cells. If none are named, they are those of the map; if
-/// it has none, every probability is a location.
+/// The locations to choose from, with at most `max` states and cells. If the request names none, they are the locations
+/// of the map; if the map has none, every probability is a location.
 ///
 /// # Errors
 /// An unknown location, a state that is no probability, too many, or nothing to explore.
@@ -57,7 +57,7 @@ pub(super) async fn find_locations(view: &Arc<MapView>, asked: &[StateName], max
     Ok(Locations { names, members })
 }
 
-/// The states and cells of locations, each as named in the field `locations`. `max`: how many all may have together.
+/// The states and cells of locations, each as named in the field `locations`. `max` is the limit for all together.
 ///
 /// # Errors
 /// An unknown location, a state that is no probability, or too many.

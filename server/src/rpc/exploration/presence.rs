@@ -1,4 +1,5 @@
-//! The probabilities of locations that hold one person or object: it is at exactly one of them at any time.
+//! The probability of each location that it has one person or object, which is at exactly one of the locations at any
+//! time.
 //!
 //! Invariant: a row per location, with a probability per time; they sum to 1 at each time. Readings after the first of
 //! the times do not count.

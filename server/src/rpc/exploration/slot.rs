@@ -68,7 +68,7 @@ fn planned_place(choice: &LocationChoice, names: &[String]) -> Result<Option<usi
     place.map(Some).ok_or_else(|| Problem::NotPlanned { planned: planned.clone() }.of("planned"))
 }
 
-/// What a day still allows.
+/// The visits and slots that a day has left.
 struct VisitsLeft {
     visits: usize,
     /// The middles of the later slots of the day, nanoseconds UTC.
@@ -91,7 +91,7 @@ fn day_slots(view: &MapView, question: &SlotQuestion) -> Result<DaySlots, PlanEr
     Ok(DaySlots::of(&view.spec().zone, day, question.slot_nanos)?)
 }
 
-/// A question, and the locations of a view to choose from.
+/// A question about a slot, and the locations of a view to choose from.
 struct Slot<'a> {
     explorations: &'a Explorations,
     handle: &'a Arc<MapHandle>,
@@ -101,7 +101,7 @@ struct Slot<'a> {
 }
 
 impl Slot<'_> {
-    /// The forecast of the slot itself and, if visits are limited, of the later ones of the day.
+    /// The forecast of the slot itself and, if visits are limited, of the later slots of the day.
     async fn predict(&self, visits: Option<&VisitsLeft>) -> Result<SlotForecast<'_>, RpcError> {
         let mut times = vec![self.question.time_nanos];
         times.extend(visits.into_iter().flat_map(|visits| &visits.later_nanos));
@@ -116,7 +116,7 @@ impl Slot<'_> {
         self.forecast(&times, rows).await
     }
 
-    /// The states and cells of all locations, one after the other.
+    /// The states and cells of all locations, in the order of the locations.
     fn states(&self) -> Vec<StateOrCell> {
         self.locations.members.iter().flatten().cloned().collect()
     }
@@ -147,26 +147,27 @@ impl Slot<'_> {
 
 /// The predictions of the states of locations at the times of a question.
 struct SlotForecast<'a> {
-    /// A row per state, location by location, with a probability per time.
+    /// A row per state, in the order of the locations, with a probability per time.
     rows: Vec<Vec<f64>>,
-    /// Likewise, with the worth of a look in bits.
+    /// The worth of an observation in bits, in rows of the same form.
     bits: Vec<Vec<f64>>,
     members: &'a [Vec<StateOrCell>],
 }
 
 impl SlotForecast<'_> {
-    /// The probabilities of each location's states at a time, by its index.
+    /// The probabilities of each location's states at a time, by the index of the time.
     fn at(&self, time: usize) -> Vec<Vec<f64>> {
         of_locations(&self.rows, self.members, time)
     }
 
-    /// The worth of a look at each location's states at a time, by its index.
+    /// The worth of an observation of each location's states at a time, by the index of the time.
     fn bits_at(&self, time: usize) -> Vec<Vec<f64>> {
         of_locations(&self.bits, self.members, time)
     }
 }
 
-/// The values of each location's states at a time, by its index. `rows`: a row per state, location by location.
+/// The values of each location's states at a time, by the index of the time. `rows` has a row per state, in the order
+/// of the locations.
 fn of_locations(rows: &[Vec<f64>], members: &[Vec<StateOrCell>], time: usize) -> Vec<Vec<f64>> {
     let mut rest = rows.iter().map(|row| row[time]);
     members.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()

@@ -36,7 +36,7 @@ pub(super) async fn plan_tour(
     Ok(tour_to_wire(&tour))
 }
 
-/// The question of a tour, from the given start or the charger of the map.
+/// The question for a tour, from the given start or the charger of the map.
 ///
 /// # Errors
 /// The map has no grid, or there is no start.

@@ -1,4 +1,4 @@
-//! `EvaluateViews`: what a sensor is expected to see from viewpoints at several times.
+//! `EvaluateViews`: the expected observations of a sensor from viewpoints at several times.
 //!
 //! Invariant: a reply per viewpoint, in their order; an unusable viewpoint does not affect the others.
 

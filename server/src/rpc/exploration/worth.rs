@@ -1,4 +1,4 @@
-//! What a look at each state or cell is worth, at each time.
+//! The worth of an observation of each state or cell, at each time.
 //!
 //! Invariant: a row per state or cell, with a worth per time in bits, at least 0.
 
@@ -14,8 +14,8 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
-/// The worth of a look at each of the states or cells at each of the times (nanoseconds UTC). `rows` has their
-/// probabilities.
+/// The worth of an observation of each of the states or cells at each of the times (nanoseconds UTC). `rows` has the
+/// probabilities of the states or cells.
 pub(super) async fn look_worths(
     explorations: &Explorations,
     view: &Arc<MapView>,

@@ -1,6 +1,6 @@
-//! Jobs that other daemons have.
+//! Jobs of other daemons.
 //!
-//! Invariant: a job that is known here is answered here.
+//! Invariant: a job that this daemon knows is answered by this daemon.
 
 use axum::{body::Body, http::HeaderMap, middleware::Next, response::Response};
 use http_body_util::Full;
@@ -14,7 +14,8 @@ use crate::rpc::status::{GatewayError, RpcError};
 const NOT_FOUND: &str = "5";
 
 impl ClusterGateway {
-    /// Answers a request of a job where the job is known: the others are asked one after the other.
+    /// Answers a request of a job in the daemon that knows the job: this daemon asks the other daemons one after the
+    /// other.
     pub(super) async fn find_job(
         &self,
         call: GatewayCall,
@@ -61,7 +62,7 @@ fn is_unknown(headers: &HeaderMap) -> bool {
     headers.get("grpc-status").is_some_and(|status| status == NOT_FOUND)
 }
 
-/// A message as a body has it.
+/// Frames a message for a body.
 fn framed(message: &[u8]) -> axum::body::Bytes {
     let length = u32::try_from(message.len()).unwrap_or(u32::MAX);
     [&[0][..], &length.to_be_bytes(), message].concat().into()

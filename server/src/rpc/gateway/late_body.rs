@@ -1,5 +1,5 @@
-//! The replies of a stream that begin before it is known who gives them: the client may wait for their head before it
-//! sends its first message.
+//! The replies of a stream that begin before it is known which daemon sends them: the client may wait for their head
+//! before it sends its first message.
 //!
 //! Invariant: an answer that is only a status becomes the end of the stream.
 
@@ -32,7 +32,7 @@ impl fmt::Debug for LateBody {
     }
 }
 
-/// The head of a stream at once, and its body when the answer comes.
+/// Returns the head of a stream at once, and its body when the answer arrives.
 pub(super) fn late(answer: Answer) -> Response {
     let mut response = Response::new(Body::new(LateBody { answer: Some(answer), inner: Body::empty() }));
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/grpc"));

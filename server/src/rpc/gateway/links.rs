@@ -1,7 +1,7 @@
 //! Connections to the other daemons that share maps with this one.
 //!
-//! Invariant: connections are kept and used again, their number is bounded, and a call holds its place on one until its
-//! reply has ended. Over a network no token goes without TLS, unless an operator has allowed that.
+//! Invariant: connections are kept and used again, their number is bounded, and a call holds its place on a connection
+//! until its reply has ended. No token goes over a network without TLS, unless an operator has allowed that.
 
 use std::{
     collections::HashMap,
@@ -17,21 +17,21 @@ use crate::{
     peers::{PeerTlsFiles, UnreadablePeerTls},
 };
 
-/// A daemon must answer a connection within this time.
+/// Maximum time for a daemon to answer a connection.
 const CONNECT_WITHIN: Duration = Duration::from_secs(1);
-/// A daemon whose machine is gone is noticed after both.
+/// The failure of a daemon's machine is noticed after the interval and the timeout.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(2);
-/// Calls that share a connection: fewer than the other daemon allows.
+/// Number of calls that share a connection: fewer than the other daemon allows.
 const CALLS_PER_CONNECTION: usize = 48;
-/// Connections to one daemon.
+/// Maximum number of connections to one daemon.
 const CONNECTIONS_MAX: usize = 64;
-/// Idle connections to one daemon that are kept.
+/// Number of idle connections to one daemon that are kept.
 const IDLE_KEPT: usize = 2;
-/// Bytes of a call that are sent and not read yet.
+/// Maximum number of bytes of a call that are sent and not read yet.
 const WINDOW: u32 = 256 * 1024;
 
-/// A place on a connection; free again when dropped.
+/// A place on a connection; it is free again when it is dropped.
 #[derive(Debug)]
 pub(in crate::rpc) struct PeerPlace {
     pub channel: Channel,
@@ -41,7 +41,7 @@ pub(in crate::rpc) struct PeerPlace {
 #[derive(Debug)]
 struct PeerChannel {
     channel: Channel,
-    /// One reference is here, and one in each place.
+    /// This structure holds one reference, and each place holds one.
     places: Arc<()>,
 }
 
@@ -58,9 +58,9 @@ impl PeerChannel {
 /// The connections to one daemon.
 #[derive(Debug, Default)]
 struct PeerLinks {
-    /// One connection is made at a time.
+    /// Held while a connection is made, so that only one is made at a time.
     connecting: tokio::sync::Mutex<()>,
-    // A lock, because calls come from all tasks; held only to count.
+    // A lock, because calls come from all tasks; it is held only to count.
     open: Mutex<Vec<PeerChannel>>,
 }
 
@@ -76,7 +76,7 @@ impl PeerLinks {
             idle += usize::from(link.calls() == 0);
             link.calls() > 0 || idle <= IDLE_KEPT
         });
-        // The fullest one with room, so that others become idle.
+        // The fullest connection with room is taken, so that others become idle.
         let with_room = open.iter().filter(|link| link.calls() < CALLS_PER_CONNECTION);
         with_room.max_by_key(|link| link.calls()).map(PeerChannel::place)
     }
@@ -116,7 +116,7 @@ fn is_in_clear(address: &str) -> bool {
     uri.scheme() != Some(&Scheme::HTTPS) && !uri.authority().is_some_and(|authority| is_local(authority.as_str()))
 }
 
-/// What a chain of errors began with: the others only say that there is one.
+/// The first cause of a chain of errors: the other errors only state that there is one.
 fn root_cause(error: &dyn std::error::Error) -> String {
     error.source().map_or_else(|| error.to_string(), root_cause)
 }
@@ -131,8 +131,8 @@ impl Links {
         Arc::clone(all.entry(address.to_owned()).or_default())
     }
 
-    /// A place on a connection to an address, which is made if there is none with room, for a call with or without a
-    /// token.
+    /// Takes a place on a connection to an address, for a call with or without a token. The connection is made if there
+    /// is none with room.
     ///
     /// # Errors
     /// See [`NoLink`].
@@ -145,7 +145,7 @@ impl Links {
             return Ok(place);
         }
         let _turn = links.connecting.lock().await;
-        // Another call may have made one.
+        // Another call may have made a connection meanwhile.
         if let Some(place) = links.free_place() {
             return Ok(place);
         }
@@ -166,7 +166,7 @@ impl Links {
             .keep_alive_timeout(KEEPALIVE_TIMEOUT)
             .keep_alive_while_idle(true)
             .initial_stream_window_size(WINDOW)
-            // A call whose reply is not read does not hold up the others.
+            // A call whose reply is not read does not block the others.
             .initial_connection_window_size(WINDOW * CALLS_PER_CONNECTION as u32)
             .tcp_nodelay(true);
         if address.starts_with("https:") {
@@ -182,7 +182,7 @@ impl Links {
         Ok(endpoint)
     }
 
-    /// The connection of a place has failed: no other call takes it.
+    /// Removes the connection of a place that has failed, so that no other call takes it.
     pub(in crate::rpc) fn forget(&self, address: &str, failed: &PeerPlace) {
         self.of(address).open().retain(|link| !Arc::ptr_eq(&link.places, &failed.place));
     }

@@ -1,6 +1,7 @@
-//! The body of a reply that another daemon gives.
+//! The body of a reply that another daemon sends.
 //!
-//! Invariant: it changes no byte. Where the connection breaks, or this daemon stops, it ends with a status.
+//! Invariant: the body is passed on without change. Where the connection breaks, or this daemon stops, it ends with a
+//! status.
 
 use std::{
     fmt,
@@ -16,7 +17,7 @@ use tonic::{Status, body::Body, codegen::http::HeaderMap};
 use super::links::PeerPlace;
 use crate::rpc::status::{GatewayError, RpcError};
 
-/// When a reply that lasts has to end.
+/// The time when a reply that lasts has to end.
 pub(super) type End = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// A reply that is passed on.
@@ -42,7 +43,7 @@ impl PassedBody {
 
     fn ended(&mut self, error: RpcError) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
         self.is_over = true;
-        // The call ends at the other daemon, too.
+        // This ends the call at the other daemon, too.
         self.inner = Body::empty();
         let mut trailers = HeaderMap::new();
         Poll::Ready(Some(Status::from(error).add_header(&mut trailers).map(|()| Frame::trailers(trailers))))

@@ -1,4 +1,4 @@
-//! Daemons in one process that share a map: what each answers, and what it passes on.
+//! Tests with daemons in one process that share a map: which requests each answers, and which it passes on.
 
 use std::{
     collections::HashMap,
@@ -42,13 +42,13 @@ mod streams;
 mod tokens;
 mod views;
 
-/// What a daemon knows of the others, as the test says.
+/// The knowledge of a daemon about the others, as the test sets it.
 #[derive(Debug)]
 struct Known {
     name: String,
     addresses: Mutex<HashMap<String, String>>,
     writers: Mutex<HashMap<String, String>>,
-    /// Who writes the maps that are held.
+    /// The writer of the maps that are held.
     writer_of_held: Mutex<Option<String>>,
     heard: Mutex<Option<Instant>>,
 }
@@ -102,7 +102,8 @@ impl Member {
         Self::start_in(name, dir, u64::MAX, Access::Anybody).await.0
     }
 
-    /// With the maps that are still to be restored: those with more bytes of checkpoints and log.
+    /// Starts a daemon, and returns the maps that are still to be restored: those with more bytes of checkpoints and
+    /// log.
     async fn start_in(
         name: &str,
         dir: tempfile::TempDir,
@@ -175,7 +176,7 @@ impl Member {
         self.catalog.get("office").expect("the map")
     }
 
-    /// The replica of the map tells its role, which the map has afterwards.
+    /// Passes an event of the map's replica, and waits until the map has its role.
     async fn tell(&self, event: ReplicaEvent) {
         let handle = self.handle();
         let role = match &event {
@@ -200,7 +201,7 @@ impl Member {
         MaintenanceServiceClient::new(self.channel().await)
     }
 
-    /// The states that a request to this daemon shows, and what the reply says that it shows.
+    /// The states that a request to this daemon shows, and the token that the reply contains.
     async fn states(&self, at_least: Option<ReadToken>) -> Result<(Vec<String>, ReadToken), Status> {
         let mut request = tonic::Request::new(v1::ListStatesRequest { map: "office".to_owned(), ..Default::default() });
         mark(&mut request, at_least);
@@ -214,16 +215,16 @@ impl Member {
     }
 }
 
-/// How a daemon is made.
+/// The settings with which a daemon is made.
 struct Making {
     restored_first_bytes: u64,
     access: Access,
     max_states: usize,
-    /// A planted defect: it does not hear what its clients have seen.
+    /// A planted defect: the daemon ignores what its clients have seen.
     is_deaf: bool,
 }
 
-/// A service that hears of what clients have seen, or not.
+/// A service that receives, or with the defect does not receive, what clients have seen.
 #[derive(Clone, Debug)]
 struct Ears<S> {
     inner: S,
@@ -273,7 +274,7 @@ fn shown(metadata: &tonic::metadata::MetadataMap) -> ReadToken {
     ReadToken::of(metadata.as_ref(), &SHOWN).expect("a token").expect("the reply says what it shows")
 }
 
-/// Serves on a free port; gives its address.
+/// Serves on a free port; returns its address.
 async fn serve<S>(service: S) -> String
 where
     S: Service<http::Request<tonic::body::Body>, Response = http::Response<tonic::body::Body>, Error = Infallible>
@@ -294,14 +295,14 @@ fn reason(status: &Status) -> (Code, String) {
     (status.code(), status.get_details_error_info().map(|info| info.reason).unwrap_or_default())
 }
 
-/// A writer that notes what it gets, and never answers.
+/// A writer that records what it receives, and never answers.
 #[derive(Clone, Debug)]
 struct Silent {
     heads: mpsc::UnboundedSender<HeaderMap>,
     left: mpsc::UnboundedSender<()>,
 }
 
-/// Tells when it is dropped.
+/// Sends a message when it is dropped.
 struct TellLeft(mpsc::UnboundedSender<()>);
 
 impl Drop for TellLeft {

@@ -1,4 +1,4 @@
-//! Where the acknowledgements of a session go: to the client of a stream at once, or into the one reply of a request.
+//! The destination of the acknowledgements of a session: the client of a stream at once, or the one reply of a request.
 //!
 //! Invariant: a refusal comes before or with the acknowledgement of its number.
 
@@ -10,16 +10,16 @@ use crate::{
     rpc::{acks::acks, status::RpcError},
 };
 
-/// Where the acknowledgements of a session go.
+/// The destination of the acknowledgements of a session.
 pub(super) enum Acknowledgements<'a> {
-    /// To the client of a stream.
+    /// The client of a stream.
     Stream(&'a Replies),
-    /// Into the reply of a request: what was refused.
+    /// The reply of a request, with the refused observations.
     Request(Vec<RefusedObservation>),
 }
 
 impl Acknowledgements<'_> {
-    /// Adds one: all up to `durable` is durable, after `before`, at a position in the log.
+    /// Adds an acknowledgement: all numbers after `before` up to `durable` are durable, at a log position.
     ///
     /// # Errors
     /// The client is gone, or does not read.
@@ -40,7 +40,7 @@ impl Acknowledgements<'_> {
         Ok(())
     }
 
-    /// What was refused of a request.
+    /// Takes the refused observations of a request.
     pub(super) fn take_refused(&mut self) -> Vec<RefusedObservation> {
         match self {
             Self::Stream(_) => Vec::new(),

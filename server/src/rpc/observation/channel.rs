@@ -1,6 +1,6 @@
 //! The two directions of a stream: requests in, replies out.
 //!
-//! Invariant: a client that does not read its replies is waited for for a bounded time.
+//! Invariant: the wait for a client that does not read its replies is bounded.
 
 use std::time::Duration;
 
@@ -48,13 +48,14 @@ pub(super) fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
             let (what, max) = ("bytes of one message", limits.max_message_bytes as u64);
             OverLimit { what, got: None, max, setting: "setting max_message_bytes" }.into()
         }
-        // The codec's bound of elements.
+        // The codec's bound on the number of elements.
         Code::ResourceExhausted => undecodable(status.message()).into(),
-        // With a source it is the connection's error, not the message's.
+        // An error with a source is that of the connection, not that of the message.
         Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
             undecodable(status.message()).into()
         }
-        // The guard's, which ends both bodies of a request; whichever is seen first, the client hears the same.
+        // The guard ends both bodies of a request with this error; whichever is read first, the client receives the
+        // same one.
         Code::Unauthenticated => RpcError::Revoked,
         _ => {
             debug!(%status, "stream broke");

@@ -1,8 +1,10 @@
 //! `ClassifyActivity`: which label of a categorical state holds, from likelihood, temporal prior and spatial prior.
 //!
-//! What is learned goes the way of other observations: readings of the state and of its state at the place, in one
-//! message, so that both are durable or none is. Invariant: the priors are of one view, which is older than what is
-//! learned; a sequence number that the map has is not learned again. What the caller may not send adds no state.
+//! A learned activity is stored like other observations: readings of the state and of its state at the place, in one
+//! message, so that both are durable or none is.
+//!
+//! Invariant: the priors are of one view, which is older than the learned readings; a sequence number that the map has
+//! is not learned again. A message that the caller may not send adds no state.
 
 use std::sync::Arc;
 
@@ -34,11 +36,11 @@ use crate::{
     shares::client::Client,
 };
 
-/// The method, for the message to a caller that may not learn.
+/// The method name, for the error of a caller that may not learn.
 const METHOD: &str = "/tidemap.v1.ObservationService/ClassifyActivity";
 
 impl Observations {
-    /// Classifies, and learns if that is asked for.
+    /// Classifies, and learns if the request sets this.
     pub(super) async fn classify(
         &self,
         request: v1::ClassifyActivityRequest,
@@ -71,7 +73,7 @@ impl Observations {
         Ok(reply)
     }
 
-    /// The states that learn; that of the place is added if it does not exist.
+    /// The states that learn. The state at the place is added if it does not exist.
     async fn learned_states(
         &self,
         handle: &MapHandle,
@@ -96,7 +98,7 @@ impl Observations {
 }
 
 /// Checks that the caller may change the map, and may send as the producer of the request. The session checks this
-/// again, but the state of a place is added before it.
+/// again, but the state at a place is added before it.
 fn may_learn(caller: &Caller, start: &StreamStart) -> Result<(), RpcError> {
     match caller {
         caller if caller.has(Role::Observer) => {}
@@ -106,7 +108,7 @@ fn may_learn(caller: &Caller, start: &StreamStart) -> Result<(), RpcError> {
     check_producer(start.key.producer())
 }
 
-/// What a view knows of each label.
+/// The likelihood and the priors of each label, from a view.
 fn answer(
     view: &Arc<MapView>,
     question: &ClassifyQuestion,

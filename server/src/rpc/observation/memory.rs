@@ -1,4 +1,4 @@
-//! The memory that a batch takes from when it is handed to the writer until it is durable and applied.
+//! The memory of a batch from when it is handed to the writer until it is durable and applied.
 //!
 //! Invariant: these are estimates, but never much too small, because they bound the memory that waits for a slow disk.
 
@@ -10,12 +10,12 @@ use crate::ingest::protocol::{ObservationBatch, ReportBatch};
 const OBSERVATION_BYTES: usize = 24;
 /// Additional memory of a position: its coordinates, and an observation of each axis.
 const POSITION_BYTES: usize = 112;
-/// Memory of a refused observation with its reason, in bytes, about.
+/// Approximate memory of a refused observation with its reason, in bytes.
 const REFUSED_BYTES: usize = 300;
-/// Memory of a name besides its text, in bytes, about.
+/// Approximate memory of a name besides its text, in bytes.
 const NAME_BYTES: usize = 64;
 
-/// Memory of a batch until it is durable, about.
+/// Approximate memory of a batch until it is durable, in bytes.
 pub(super) fn bytes_of(batch: &ObservationBatch) -> usize {
     let names =
         batch.new_names.iter().map(|name| NAME_BYTES + name.as_ref().map_or(0, |name| name.name.as_str().len()));
@@ -25,7 +25,8 @@ pub(super) fn bytes_of(batch: &ObservationBatch) -> usize {
         + names.sum::<usize>()
 }
 
-/// Memory of reports until they are durable, about: as they are, and as observations with the names of their states.
+/// Approximate memory of reports until they are durable, in bytes: as reports, and as observations with the names of
+/// their states.
 pub(super) fn bytes_of_reports(batch: &ReportBatch, site: &Site) -> usize {
     let each = batch.reports.iter().map(|(_, report)| size_of::<Report>() + 2 * report.log_bytes(site));
     64 + each.sum::<usize>() + REFUSED_BYTES * batch.refused.len()

@@ -1,12 +1,13 @@
 //! The open streams of observations: how many there are, and which one makes room for the next.
 //!
-//! A stream has a place among those that have not said hello, and with its hello it takes one among those that have.
+//! A stream has a place among those that have not sent their hello, and with its hello it takes one among those that
+//! have.
 //!
-//! Invariant: no more streams have a place than the limits say, in all and of one client. Where a limit is reached, the
-//! oldest stream that has not said hello makes room for another such; of the others, the one that was silent for
-//! longest, if it was silent for a given time and all that it sent is acknowledged. If there is none, and all places
-//! are in use, a map that has fewer streams takes one of the map that has most: streams of one map never keep those of
-//! another out. Else the new stream is refused.
+//! Invariant: no more streams have a place than the limits allow, in total and per client. Where a limit is reached,
+//! the oldest stream without a hello makes room for another stream without one. Among the streams with a hello, the one
+//! that was silent for longest makes room, if it was silent for a given time and all that it sent is acknowledged. If
+//! there is none, and all places are in use, a map that has fewer streams takes a place of the map that has most:
+//! streams of one map never keep those of another out. Else the new stream is refused.
 
 use std::{
     collections::HashMap,
@@ -39,12 +40,12 @@ struct Open {
     next: u64,
 }
 
-/// Why a stream has to end for another.
+/// The reason why a stream has to end for another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Displaced {
-    /// It was silent.
+    /// The stream was silent.
     Silent,
-    /// Its map had most of the streams.
+    /// The map of the stream had most of the streams.
     Crowded,
 }
 
@@ -52,20 +53,21 @@ enum Displaced {
 #[derive(Debug)]
 struct StreamSeat {
     _taken: Taken,
-    /// Its map; `None` before its hello.
+    /// The map of the stream; `None` before its hello.
     map: Option<MapId>,
 }
 
-/// What is known of an open stream.
+/// The state of an open stream.
 #[derive(Debug)]
 struct Activity {
     client: Client,
     opened: Instant,
-    /// `None` after it was displaced. A lock, because others displace it; held only to look and to replace.
+    /// `None` after the stream was displaced. A lock, because other streams displace it; held only to read and to
+    /// replace.
     place: Mutex<Option<StreamSeat>>,
-    /// Milliseconds from `opened` to its last message, and one more; 0 before its first.
+    /// Milliseconds from `opened` to the last message of the stream, plus one; 0 before its first message.
     active_after_millis: AtomicU64,
-    /// Something that it sent is not acknowledged.
+    /// Whether something that the stream sent is not acknowledged.
     is_unacknowledged: AtomicBool,
     displaced: watch::Sender<Option<Displaced>>,
 }
@@ -75,7 +77,7 @@ impl Activity {
         self.place.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Its map, if it has said hello and has a place.
+    /// The map of the stream, if the stream has sent its hello and has a place.
     fn map(&self) -> Option<MapId> {
         self.place().as_ref()?.map
     }
@@ -93,7 +95,7 @@ impl Activity {
         self.is_unacknowledged.load(Ordering::Acquire)
     }
 
-    /// Its place is free at once; its task hears of it.
+    /// Frees the stream's place at once, and informs its task.
     fn displace(&self, why: Displaced) {
         drop(self.place().take());
         self.displaced.send_replace(Some(why));
@@ -101,7 +103,7 @@ impl Activity {
     }
 }
 
-/// The entry of an open stream; taken out when dropped.
+/// The entry of an open stream; it is removed when it is dropped.
 #[derive(Debug)]
 pub(super) struct StreamEntry {
     number: u64,
@@ -120,7 +122,7 @@ impl Drop for StreamEntry {
 }
 
 impl Open {
-    /// The streams that a full share is of.
+    /// The streams that a full share counts.
     fn of<'a>(&'a self, full: &ShareFull, client: &Client) -> impl Iterator<Item = &'a Arc<Activity>> {
         let client = (full.bound == Bound::Client).then(|| client.clone());
         self.streams.values().filter(move |stream| client.as_ref().is_none_or(|client| stream.client == *client))
@@ -139,8 +141,9 @@ impl Open {
         self.of(full, client).filter(is_silent).max_by_key(|stream| stream.silent_for(now))
     }
 
-    /// A stream of the map with the most streams, if that has more than this map will have: of the client with the most
-    /// of them, and rather one of which all is acknowledged and that was silent for long.
+    /// A stream of the map with the most streams, if that map has more than this map will have. Streams of the client
+    /// with the most of them come first; among these, streams of which all is acknowledged; among these, the stream
+    /// that was silent for longest.
     fn crowding(&self, map: MapId, now: Instant) -> Option<&Arc<Activity>> {
         let mut of_maps: HashMap<MapId, HashMap<&Client, usize>> = HashMap::new();
         for stream in self.streams.values() {
@@ -161,7 +164,8 @@ impl Open {
 }
 
 impl OpenStreams {
-    /// No streams; they take of these shares. One that was silent for `idle_after` makes room.
+    /// Creates an empty set of streams, which take from these shares. A stream that was silent for `idle_after` makes
+    /// room.
     pub(crate) fn new(shares: Shares, idle_after: Duration) -> Self {
         Self { shares, idle_after, open: Arc::default() }
     }
@@ -170,7 +174,8 @@ impl OpenStreams {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Enters a new stream of a client, which has to say hello; another such makes room if it has to.
+    /// Enters a new stream of a client, which has to send its hello; another stream without one makes room if
+    /// necessary.
     ///
     /// # Errors
     /// There is no room.
@@ -203,13 +208,13 @@ impl OpenStreams {
 }
 
 impl StreamEntry {
-    /// Whose stream it is.
+    /// The client of the stream.
     pub(super) fn client(&self) -> &Client {
         &self.activity.client
     }
 
-    /// The stream has said hello for a map, and takes a place among those that have; another one makes room if it has
-    /// to.
+    /// Takes a place for the stream among those with a hello, after it has sent its hello for a map; another stream
+    /// makes room if necessary.
     ///
     /// # Errors
     /// There is no room.
@@ -242,18 +247,18 @@ impl StreamEntry {
         }
     }
 
-    /// The stream has sent something now.
+    /// Records that the stream has sent something now.
     pub(super) fn mark_active(&self) {
         let millis = u64::try_from(self.activity.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.activity.active_after_millis.store(millis.saturating_add(1), Ordering::Release);
     }
 
-    /// Says whether something that the stream sent is not acknowledged.
+    /// Sets whether something that the stream sent is not acknowledged.
     pub(super) fn set_unacknowledged(&self, is_unacknowledged: bool) {
         self.activity.is_unacknowledged.store(is_unacknowledged, Ordering::Release);
     }
 
-    /// Waits until the stream has to make room; gives why it ends.
+    /// Waits until the stream has to make room; returns the reason.
     pub(super) async fn displaced(&mut self) -> RpcError {
         // The sender is part of the entry, so that it cannot be gone.
         let why = self.displaced.wait_for(Option::is_some).await.ok().and_then(|why| *why);

@@ -1,6 +1,6 @@
 //! How a stream begins and ends: the hello, the session at the map's writer, and the goodbye.
 //!
-//! Invariant: a session that was opened is ended at the writer, whatever happens to the client.
+//! Invariant: a session that was opened is ended at the writer, whatever its client does.
 
 use std::{convert::Infallible, sync::Arc, time::Duration};
 
@@ -32,13 +32,13 @@ use crate::{
     shares::client::Client,
 };
 
-/// A stream must say hello within this time.
+/// Maximum time for a stream to send its hello.
 pub(in crate::rpc) const HELLO_WITHIN: Duration = Duration::from_secs(10);
 
 /// Serves a stream from its first message to its end.
 ///
 /// # Errors
-/// Why it ended, unless the client ended it.
+/// The reason why it ended, unless the client ended it.
 pub(super) async fn open_and_serve(
     service: &Observations,
     entry: &mut StreamEntry,
@@ -49,7 +49,7 @@ pub(super) async fn open_and_serve(
         return Err(RpcError::Stopping);
     }
     let Some(hello) = first_hello(service, entry, requests).await? else { return Ok(()) };
-    // Whether the caller may see the map comes first.
+    // The check whether the caller may see the map comes first.
     find_map(&service.catalog, &hello.map).await?;
     let start = hello_from_wire(&hello)?;
     let handle = take_seat(service, entry, &hello.map, &start).await?;
@@ -66,10 +66,10 @@ pub(super) async fn open_and_serve(
     result
 }
 
-/// Finds the map of a sender, checks that the caller may send as it, and takes a place for the session.
+/// Finds the map of a sender, checks that the caller may send as this producer, and takes a place for the session.
 ///
 /// # Errors
-/// The map does not exist, the caller may not, or there is no place.
+/// The map does not exist, the caller may not send to it, or there is no place.
 pub(super) async fn take_seat(
     service: &Observations,
     entry: &mut StreamEntry,
@@ -104,10 +104,11 @@ async fn first_hello(
     }
 }
 
-/// Opens a session at the writer of its map. It takes over from a stream of the same key whose client does not answer.
+/// Opens a session at the writer of its map. The session takes over from a stream of the same key whose client does not
+/// answer.
 ///
 /// # Errors
-/// The writer refuses it.
+/// The writer refuses the session.
 pub(super) async fn open_session(
     handle: &Arc<MapHandle>,
     (start, client): (&StreamStart, &Client),
@@ -147,7 +148,7 @@ pub(super) async fn open_session(
 /// either.
 async fn pass_on_questions(mut questions: mpsc::Receiver<()>, replies: &Replies) -> Infallible {
     while questions.recv().await.is_some() {
-        // The stream's own replies fail as well, and end it.
+        // The replies of the stream itself fail as well, and end it.
         let _ = reply(replies, Down::Probe(v1::Probe {})).await;
     }
     std::future::pending().await

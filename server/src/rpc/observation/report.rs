@@ -1,7 +1,7 @@
 //! Observations and reports in one request, without a stream.
 //!
-//! Invariant: the reply comes when all of it is durable or refused. A request has a task of its own: what was handed to
-//! the writer is not lost when the client goes away.
+//! Invariant: the reply is sent when all observations and reports are durable or refused. A request has a task of its
+//! own: nothing that was handed to the writer is lost when the client goes away.
 
 use std::time::Duration;
 
@@ -31,27 +31,28 @@ use crate::{
     telemetry::traces::Span,
 };
 
-/// How long a request waits for the stream of its key to end.
+/// Maximum time that a request waits for the stream of its key to end.
 const KEY_WITHIN: Duration = Duration::from_secs(2);
 const KEY_POLL: Duration = Duration::from_millis(20);
 
-/// Who sends a request, and as which numbers of its sequence.
+/// The sender of a request, and the sequence numbers of its items.
 #[derive(Clone, Debug)]
 pub(in crate::rpc) struct SentAs {
     /// Name of the map.
     pub map: String,
     /// The producer, and how its states are reported.
     pub start: StreamStart,
-    /// Number of the first item; 0: the next one.
+    /// Number of the first item; 0: the next number.
     pub first_sequence: u64,
-    /// How many items there are that may differ when they are sent again: what was taken with their numbers stays.
+    /// The number of items that may differ when they are sent again: the daemon keeps the content that it has first
+    /// taken with their numbers.
     pub may_differ: Option<u64>,
 }
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Clone, Debug, Default)]
 pub(in crate::rpc) struct TakenItems {
-    /// All up to this number is durable or refused.
+    /// All numbers up to this one are durable or refused.
     pub durable_sequence: u64,
     /// The refused items.
     pub refused: Vec<RefusedObservation>,
@@ -68,7 +69,7 @@ impl TakenItems {
 impl Observations {
     /// Takes the readings of a request.
     pub(super) async fn take_readings(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, RpcError> {
-        // Whether the caller may see the map comes first.
+        // The check whether the caller may see the map comes first.
         find_map(&self.catalog, &request.map).await?;
         OverLimit::check("readings", request.readings.len(), READINGS, "a report; use Observe for more")?;
         let readings = readings_from_wire(&request.readings, self.catalog.context().clock.now_nanos())?;
@@ -83,7 +84,7 @@ impl Observations {
     /// the key.
     ///
     /// # Errors
-    /// Why they are not taken.
+    /// The reason why the items are not taken.
     pub(in crate::rpc) async fn take_items(
         &self,
         sent_as: SentAs,

@@ -1,4 +1,4 @@
-//! An open session at the writer of a map: what it takes, and what it waits for.
+//! An open session at the writer of a map: the messages that it takes, and the events that it waits for.
 //!
 //! Invariant: room is reserved for a batch before it is handed to the writer, and acknowledgements are passed on
 //! meanwhile, because they free room. A session that was opened is ended at the writer.
@@ -34,12 +34,12 @@ use crate::{
 pub(super) struct OpenSession<'a> {
     pub(super) handle: Arc<MapHandle>,
     pub(super) opened: Welcome,
-    /// Taken out while it works in another thread.
+    /// `None` while it works in another thread.
     intake: Option<Intake>,
     pub(super) service: &'a Observations,
     /// Room for this session's table of tiles and its unfinished scan.
     held: Option<Taken>,
-    /// Its own room for what is not durable, and those that it shares.
+    /// The session's own room for data that is not durable, and the rooms that it shares.
     buffers: Vec<Arc<Semaphore>>,
     events: mpsc::UnboundedReceiver<SessionEvent>,
     acknowledgements: Acknowledgements<'a>,
@@ -51,7 +51,7 @@ pub(super) struct OpenSession<'a> {
 }
 
 impl<'a> OpenSession<'a> {
-    /// A session that was opened. `opened`: the writer's answer, and its messages.
+    /// Creates a session that was opened. `opened`: the writer's answer, and its messages.
     pub(super) fn new(
         service: &'a Observations,
         handle: Arc<MapHandle>,
@@ -91,7 +91,7 @@ impl<'a> OpenSession<'a> {
     /// Waits until the map takes more.
     ///
     /// # Errors
-    /// Why the session ends before.
+    /// The reason why the session ends before.
     pub(super) async fn ready(&mut self) -> Result<(), RpcError> {
         let mut saturated = self.handle.saturated();
         while *saturated.borrow_and_update() {
@@ -110,7 +110,7 @@ impl<'a> OpenSession<'a> {
     /// Takes a message of observations, scans or reports.
     ///
     /// # Errors
-    /// Why the session ends.
+    /// The reason why the session ends.
     pub(super) async fn take(&mut self, message: StreamMessage) -> Result<(), RpcError> {
         match message {
             StreamMessage::Observations(message) => self.take_observations(message).await,
@@ -144,7 +144,8 @@ impl<'a> OpenSession<'a> {
             self.note(batch.span.last);
             self.hand_over(StreamData::Scans(batch, budget))?;
         }
-        // The writer acknowledges neither tiles nor what was taken before; an unfinished scan waits for its end.
+        // The writer acknowledges neither tiles nor observations that it has taken before; an unfinished scan waits for
+        // its end.
         if is_any_new { Ok(()) } else { self.repeat_durable().await }
     }
 
@@ -164,15 +165,15 @@ impl<'a> OpenSession<'a> {
         if is_any_new { Ok(()) } else { self.repeat_durable().await }
     }
 
-    /// Reserves room for the tiles that the session's scans refer to, for its life. It does not wait, because others
-    /// may hold the room for ever.
+    /// Reserves room for the tiles that the session's scans refer to, for the life of the session. The reservation does
+    /// not wait, because other sessions may hold the room for ever.
     fn hold_tables(&mut self) -> Result<(), RpcError> {
         let wanted = self.intake()?.held_bytes();
         let held = self.held.as_ref().map_or(0, Taken::amount);
         if wanted <= held {
             return Ok(());
         }
-        // In large steps, because a table grows by a tile at a time.
+        // The room grows in large steps, because a table grows by a tile at a time.
         let more = wanted.next_multiple_of(1024) - held;
         match &mut self.held {
             Some(held) => held.grow(more)?,
@@ -199,7 +200,7 @@ impl<'a> OpenSession<'a> {
         Ok(batch?)
     }
 
-    /// A batch up to this sequence number is handed over now.
+    /// Records that a batch up to this sequence number is handed over now.
     fn note(&mut self, last_sequence: u64) {
         if last_sequence > self.handed_over {
             self.in_flight.push_back((last_sequence, Instant::now()));
@@ -217,9 +218,9 @@ impl<'a> OpenSession<'a> {
         }
     }
 
-    /// Ends the session at the writer; `error`: why it ends before its client has ended it.
+    /// Ends the session at the writer. `error` is the reason if it ends before its client has ended it.
     pub(super) fn end(&self, error: Option<&RpcError>) {
-        // A writer that has stopped has no session to forget.
+        // A writer that has stopped has no session to remove.
         let _ = self.hand_over(StreamData::End { clean: error.is_none() });
         if let Some(RpcError::Intake(mismatch @ IntakeError::DataMismatch { .. })) = error {
             metrics::counter!("tidemap_data_mismatches_total").increment(1);
@@ -227,7 +228,7 @@ impl<'a> OpenSession<'a> {
         }
     }
 
-    /// Reserves room for a batch; one that is larger than the whole room of a session reserves all of it.
+    /// Reserves room for a batch; a batch that is larger than the whole room of a session reserves all of it.
     async fn budget(&mut self, bytes: usize) -> Result<BufferBudget, RpcError> {
         let bytes = bytes.min(self.service.limits.max_stream_buffer);
         let mut budget = BufferBudget::with_capacity(self.buffers.len());
@@ -256,7 +257,7 @@ impl<'a> OpenSession<'a> {
         self.acknowledgements.add((self.durable, self.durable), Vec::new(), position).await
     }
 
-    /// A position in the log of a map that daemons share at which it has what is durable; else 0.
+    /// A log position at which the map has all that is durable, if daemons share the map; else 0.
     fn position(&self) -> u64 {
         // The view is published before an acknowledgement is sent.
         if self.handle.role().is_shared() { self.handle.position() } else { 0 }
@@ -265,7 +266,7 @@ impl<'a> OpenSession<'a> {
     /// Waits until all that was handed over is durable, and passes acknowledgements on.
     ///
     /// # Errors
-    /// Why the session ends before.
+    /// The reason why the session ends before.
     pub(super) async fn drain(&mut self) -> Result<(), RpcError> {
         while self.durable < self.handed_over {
             let event = self.events.recv().await;
@@ -306,7 +307,7 @@ impl<'a> OpenSession<'a> {
         }
     }
 
-    /// The refused observations of all that was taken, where no stream has them.
+    /// Takes the refused observations of all messages, if they were not sent to a stream.
     pub(super) fn take_refused(&mut self) -> Vec<RefusedObservation> {
         self.acknowledgements.take_refused()
     }

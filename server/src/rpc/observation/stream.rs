@@ -1,6 +1,6 @@
 //! An open stream: the messages of its client, and the replies.
 //!
-//! Invariant: while the map is saturated nothing is read, and the client is informed.
+//! Invariant: while the map is saturated nothing is read, and the client receives a message about it.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ use crate::{
     rpc::status::RpcError,
 };
 
-/// After waiting this long, the daemon informs a stream that the map is saturated.
+/// After this time of waiting, the daemon sends a stream the message that the map is saturated.
 const BUSY_AFTER: Duration = Duration::from_secs(1);
 
 /// An open stream.
@@ -66,7 +66,7 @@ impl<'a> Stream<'a> {
     /// Takes messages until the client ends the stream and all is acknowledged.
     ///
     /// # Errors
-    /// Why the stream ends before.
+    /// The reason why the stream ends before.
     pub(super) async fn serve(&mut self, requests: &mut impl Requests) -> Result<(), RpcError> {
         reply(self.replies, Down::Welcome(self.welcome())).await?;
         let mut saturated = self.session.handle.saturated();
@@ -89,7 +89,7 @@ impl<'a> Stream<'a> {
                 }
                 request = requests.next(), if !wait => match request {
                     Some(Ok(request)) => self.take(request).await?,
-                    // The producer has sent everything: what is in flight is acknowledged before the stream ends.
+                    // The producer has sent everything: all batches in flight are acknowledged before the stream ends.
                     None => return self.drain().await,
                     Some(Err(status)) => return Err(unread(&status, &self.session.service.limits)),
                 },
@@ -99,7 +99,7 @@ impl<'a> Stream<'a> {
 
     async fn take(&mut self, request: v1::ObserveRequest) -> Result<(), RpcError> {
         self.session.entry.mark_active();
-        // Answers are not read until the message is taken.
+        // Answers to probes are not read until the message is taken.
         self.probed.pause(true);
         let message = message_from_wire(request)?;
         if matches!(message, StreamMessage::Alive) {
@@ -113,12 +113,13 @@ impl<'a> Stream<'a> {
         self.session.drain().await
     }
 
-    /// Ends the stream with this result: the writer forgets it, and the client gets the reason and what is durable.
+    /// Ends the stream with this result: the writer removes it, and the client receives the reason and the durable
+    /// number.
     pub(super) async fn end(&self, result: &Result<(), RpcError>) {
         self.session.end(result.as_ref().err());
         let Err(error) = result else { return };
         let reason = match error {
-            // The status has the reason. Clients connect again after it, as they do when a connection breaks.
+            // The status contains the reason. Clients connect again after it, as they do when a connection breaks.
             RpcError::Revoked | RpcError::Idle(_) | RpcError::Crowded => return,
             // Clients connect again, and to another daemon if need be.
             RpcError::Ended(

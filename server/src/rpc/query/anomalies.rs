@@ -36,10 +36,11 @@ use crate::{
 
 mod labels;
 
-/// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
+/// Number of observations that are judged at once, and of one reply: their phasors take some 10 MB at 168
+/// periodicities.
 const READINGS_PER_REPLY: usize = 4096;
 
-/// The model that observations are judged by: one that was trained on the readings, or the view's.
+/// The model by which observations are judged: one that was trained on the readings, or the view's model.
 struct Judge {
     subject: StateOrCell,
     trained: Option<Arc<CachedModel>>,
@@ -95,7 +96,7 @@ pub(super) async fn find_anomalies(
         asked.within_nanos = view.rows_about(id, &within_nanos);
     }
     let max = queries.max_predictions;
-    // Before the permits to look up are taken: training has its own permits, and may take long.
+    // Training comes before the permits to read are taken: it has its own permits, and may take long.
     let trained = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
         Some(queries.trainer.trained(&learned, selector.kind).await?)
@@ -119,7 +120,7 @@ pub(super) async fn find_anomalies(
                 reply.values.push(value);
                 reply.probabilities.push(probability);
             }
-            // An empty reply too, because only sending shows whether the client still listens.
+            // An empty reply is sent too, because only sending shows whether the client is still there.
             if !sink.send(reply) {
                 break;
             }

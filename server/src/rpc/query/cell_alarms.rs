@@ -17,7 +17,7 @@ use crate::rpc::{
     status::RpcError,
 };
 
-/// Cells of one reply.
+/// Number of cells in one reply.
 const CELLS_PER_REPLY: usize = 1024;
 
 pub(super) async fn list_cell_alarms(
@@ -29,7 +29,7 @@ pub(super) async fn list_cell_alarms(
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
     let permit = queries.permits.take().await?;
-    // This looks at every tile of the map at most, some milliseconds.
+    // This reads every tile of the map at most, in some milliseconds.
     let question = GridQuestion { region, ..GridQuestion::default() };
     let for_selection = Arc::clone(&view);
     let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));

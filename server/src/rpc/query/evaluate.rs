@@ -1,10 +1,10 @@
 //! `EvaluateStates`: compares predictions with observations, which are not learned.
 //!
-//! Observations wait until there are many of them; then they are compared state by state, so that the models of one
-//! state at a time are held, however many states there are.
+//! Observations wait until there are many of them; then they are compared state by state, so that only the models of
+//! one state at a time are held, however many states there are.
 //!
-//! Invariant: memory depends on the number of states and models, not on that of observations; models are held of one
-//! state at a time.
+//! Invariant: memory depends on the number of states and models, not on that of observations; the models of only one
+//! state at a time are held.
 
 use std::{borrow::Cow, collections::HashMap, sync::Arc};
 
@@ -40,13 +40,13 @@ use crate::{
 
 /// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.
 const SUMS_MAX: usize = 1_000_000;
-/// Observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are trained more
-/// often.
+/// Maximum number of observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are
+/// trained more often.
 const WAITING_MAX: usize = 500_000;
-/// Readings that rows of changes and events may stand for in one evaluation: a hundred sensors for nine years at steps
-/// of five minutes.
+/// Maximum number of readings that rows of changes and events may represent in one evaluation: a hundred sensors for
+/// nine years at steps of five minutes.
 const READINGS_MAX: u64 = 100_000_000;
-/// Readings of rows that are made and compared at once.
+/// Number of readings of rows that are made and compared at once.
 const READINGS_PER_BLOCK: usize = 65_536;
 
 pub(super) async fn evaluate_states(
@@ -69,7 +69,7 @@ pub(super) async fn evaluate_states(
         check_limit("observations of one message", got, max, "setting max_batch_observations")?;
         let columns = unpack_evaluated(packed, table.len()).map_err(RpcError::from)?;
         take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
-        // Without models to fit nothing is gained by waiting.
+        // Without models to train, nothing is gained by waiting.
         if waiting.count >= WAITING_MAX || evaluator.kinds_to_train().next().is_none() {
             let taken = held.take(std::mem::take(&mut waiting), &view, false);
             (evaluator, held.readings) = compare(queries, &handle, &view, taken, (evaluator, held.readings)).await?;
@@ -108,7 +108,7 @@ fn take_observations(
     let mut make = view.sample_maker();
     let rows = columns.state_indices.iter().zip(&columns.times_nanos).zip(&columns.values);
     for ((&index, &time), &value) in rows {
-        // Every index is one of the table.
+        // Every index is an index of the table.
         let Some(entry) = table.get(index as usize) else { continue };
         let shape = entry.shape(view);
         let is_allowed = match entry.compared {
@@ -127,7 +127,7 @@ fn take_observations(
     Ok(())
 }
 
-/// The reply: a row per state and model, and the models that some states have not.
+/// The reply: a row per state and model, and the models that some states do not have.
 fn answer(evaluator: &Evaluator, view: &MapView) -> v1::EvaluateStatesResponse {
     let evaluations = evaluator.rows().map(|(state, name, model, evaluation)| v1::Evaluation {
         state: name.into_owned(),
@@ -165,7 +165,7 @@ impl WaitingObservations {
     }
 }
 
-/// What is known of the states that report changes or events, from the observations so far.
+/// The learned data of the states that report changes or events, from the observations so far.
 #[derive(Debug, Default)]
 struct HeldRows {
     learned: HashMap<Subject, (TableEntry, LearnedRows)>,
@@ -174,17 +174,17 @@ struct HeldRows {
     readings: u64,
 }
 
-/// What is to be compared of a state.
+/// The readings of a state that are to be compared.
 #[derive(Debug)]
 enum TakenReadings {
     Samples(Vec<Sample>),
-    /// What rows stand for, which may be far more.
+    /// The readings that rows represent, which may be far more than the rows.
     Rows(RowReadings),
 }
 
 impl HeldRows {
-    /// What observations stand for, each state's up to its own newest row: more of its rows may come. The last
-    /// observations: up to the newest of all states.
+    /// Takes the readings that observations represent, for each state up to its own newest row: more of its rows may
+    /// come. With the last observations, it takes them up to the newest row of all states.
     fn take(
         &mut self,
         waiting: WaitingObservations,
@@ -198,7 +198,7 @@ impl HeldRows {
             self.learned.entry(entry.state.subject()).or_insert_with(|| (entry.clone(), LearnedRows::default()));
         }
         if are_last {
-            // What holds from rows of earlier messages goes on.
+            // A value that holds since rows of earlier messages continues.
             let without_rows = self.learned.iter().filter(|(subject, _)| !by_state.contains_key(subject));
             entries.extend(without_rows.map(|(_, (entry, _))| entry.clone()));
         }
@@ -218,7 +218,7 @@ impl HeldRows {
     }
 }
 
-/// Compares observations, and holds the models of one state at a time. Takes and gives the sums and the number of
+/// Compares observations, and holds the models of one state at a time. Takes and returns the sums and the number of
 /// readings of rows.
 async fn compare(
     queries: &Queries,
@@ -251,7 +251,7 @@ async fn compare(
         let others =
             others.into_iter().map(|state| OtherPart { state, trained: trained.next().unwrap_or_default() }).collect();
         work.push(SubjectWork { subject, taken, own, others });
-        // States that the view answers by itself hold nothing: they are compared together.
+        // States that the view predicts by itself hold no models: they are compared together.
         if needs_models || index == last {
             let (work, view) = (std::mem::take(&mut work), Arc::clone(view));
             let add = move |stop: StopSignal<'_>| {
@@ -267,7 +267,7 @@ async fn compare(
     Ok((evaluator, readings))
 }
 
-/// The observations of a state with what predicts them.
+/// The observations of a state with the models that predict them.
 #[derive(Debug)]
 struct SubjectWork {
     subject: Subject,
@@ -277,7 +277,7 @@ struct SubjectWork {
 }
 
 impl SubjectWork {
-    /// Adds the observations to the sums, and the number of readings that rows stand for to `readings`.
+    /// Adds the observations to the sums, and the number of readings that rows represent to `readings`.
     fn add_to(
         self,
         evaluator: &mut Evaluator,
@@ -304,7 +304,7 @@ impl SubjectWork {
     }
 }
 
-/// What observations of a name are compared with.
+/// The state and its parts with which observations of a name are compared.
 #[derive(Clone, Debug)]
 struct TableEntry {
     /// The state or cell, the cosine of an angle, or the first label of a categorical state.
@@ -315,7 +315,7 @@ struct TableEntry {
 }
 
 impl TableEntry {
-    /// The entry of a name, beside those of the names before.
+    /// Makes the entry of a name. `others` has the entries of the names before it.
     async fn find(
         view: &Arc<MapView>,
         (name, is_label): (String, bool),
@@ -350,7 +350,7 @@ impl TableEntry {
         }
     }
 
-    /// The parts after the first: the sine of an angle, or labels.
+    /// The parts after the first one: the sine of an angle, or labels.
     fn others(&self, view: &MapView) -> Vec<StateId> {
         let StateOrCell::State(first) = self.state else { return Vec::new() };
         let count = match self.compared {
@@ -362,17 +362,17 @@ impl TableEntry {
     }
 }
 
-/// The name of the categorical state of a label.
+/// The name of the categorical state that has this label.
 fn whole_of(view: &MapView, label: StateId) -> Option<&str> {
     Some(view.info(label)?.name.as_label()?.0)
 }
 
-/// The first label of the categorical state of a label.
+/// The first label of the categorical state that has this label.
 fn first_label(view: &MapView, label: StateId) -> Option<StateId> {
     view.labels(whole_of(view, label)?).first().map(|(first, _)| *first)
 }
 
-/// The error of a label that a categorical state has not.
+/// The error of a label that a categorical state does not have.
 fn unknown_label(view: &MapView, name: &str) -> Option<Misfit> {
     let (state, label) = name.split_once('/')?;
     let labels: Vec<String> = view.labels(state).into_iter().map(|(_, label)| label.to_owned()).collect();

@@ -17,7 +17,7 @@ use crate::rpc::{
     status::RpcError,
 };
 
-/// Numbers of one reply, shares of all its cells.
+/// Number of shares in one reply, for all its cells.
 const SHARES_PER_REPLY: usize = 131_072;
 
 pub(super) async fn predict_flow(

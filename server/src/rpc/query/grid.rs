@@ -58,7 +58,7 @@ fn no_grid(view: &MapView) -> RpcError {
     RpcError::NoGrid { map: view.spec().name.as_str().to_owned() }
 }
 
-/// The view that answers a question of a model about the grid of a map.
+/// The view that predicts the grid of a map with this model.
 async fn grid_view(handle: &MapHandle, selector: ModelSelector) -> Result<Arc<MapView>, RpcError> {
     if !selector.is_of_generation() {
         opened(handle).await?;
@@ -69,7 +69,7 @@ async fn grid_view(handle: &MapHandle, selector: ModelSelector) -> Result<Arc<Ma
 
 /// The steps of an answer about a grid; the answer's form is up to the caller.
 impl Queries {
-    /// The view of a map with a grid that answers a model's questions.
+    /// The view of a map with a grid that predicts with this model.
     ///
     /// # Errors
     /// There is no such map for the caller, it has no grid, or it does not open in time.
@@ -77,7 +77,7 @@ impl Queries {
         grid_view(&*find_published(&self.catalog, map)?, selector).await
     }
 
-    /// The tiles of a question.
+    /// Selects the tiles of a question.
     ///
     /// # Errors
     /// Too many requests compute, or the view has no grid.
@@ -88,12 +88,12 @@ impl Queries {
     ) -> Result<GridSelection, RpcError> {
         let permit = self.permits.take().await?;
         let for_selection = Arc::clone(view);
-        // This looks at every tile of the map at most, some milliseconds. The permit is held until it ends.
+        // This reads every tile of the map at most, in some milliseconds. The permit is held until it ends.
         let select = move || for_selection.grid().map(|grid| grid.select(&question));
         run_blocking(permit, select).await?.ok_or_else(|| no_grid(view))
     }
 
-    /// A permit to predict selected cells.
+    /// Takes a permit to predict selected cells.
     async fn permit_for_cells(&self, selection: &GridSelection) -> Result<Permit, RpcError> {
         check_limit("cells to predict", selection.cells, self.max_predictions, "setting max_predictions")?;
         self.permit_for(selection.cells).await

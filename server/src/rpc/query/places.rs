@@ -37,7 +37,7 @@ pub(super) async fn predict_at_places(
     let handle = find_map(&queries.catalog, &request.map).await?;
     let question = places_from_wire(request)?;
     let view = handle.view();
-    // An angle is learned by its cosine and its sine.
+    // An angle is learned as its cosine and its sine.
     let is_angle = matches!(view.shape(&question.state), Some((_, StateShape::Angle)));
     let names = match is_angle {
         true => ANGLE_AXES.map(|axis| format!("{}/{axis}", question.state)).to_vec(),
@@ -80,8 +80,8 @@ pub(super) async fn predict_at_places(
     run_while_awaited(permit, None, predict).await
 }
 
-/// As [`predict`], for the angle of a cosine and a sine: direction, circular deviation, and an interval that contains
-/// an angle as if angles were distributed normally about it.
+/// Does the same as [`predict`], for the angle of a cosine and a sine: direction, circular deviation, and an interval
+/// that contains an angle as if angles were distributed normally about the direction.
 fn predict_angle(
     models: [&PlaceModel; 2],
     question: &PlacesQuestion,

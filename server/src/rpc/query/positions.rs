@@ -36,9 +36,9 @@ mod tests;
 
 /// Maximum number of cells of one time: 24 MB.
 const CELLS_MAX: u64 = 1_000_000;
-/// Cells of one reply.
+/// Number of cells in one reply.
 const CELLS_PER_REPLY: usize = 65_536;
-/// Cells along the longest side of a region, if no resolution is given.
+/// Number of cells along the longest side of a region, if no resolution is given.
 const CELLS_FLAT: f64 = 64.0;
 const CELLS_DEEP: f64 = 24.0;
 /// Margin of the observations on each side, as a share of their longest side.
@@ -63,7 +63,7 @@ impl Cells {
         let longest = sides.iter().copied().fold(0.0, f64::max);
         let usual = if sides.len() > 2 { CELLS_DEEP } else { CELLS_FLAT };
         let edge_m = edge_m.unwrap_or(longest / usual);
-        // A fraction of a cell this small is rounding.
+        // A fraction of a cell as small as this is rounding.
         let count = |side: f64| (side / edge_m - 1e-9).ceil().max(1.0) as usize;
         Self { low_m: low_m.to_vec(), edge_m, counts: sides.into_iter().map(count).collect() }
     }
@@ -72,7 +72,7 @@ impl Cells {
     fn around(low_m: &[f64], high_m: &[f64], edge_m: Option<f64>) -> Self {
         let longest = low_m.iter().zip(high_m).map(|(low, high)| high - low).fold(0.0, f64::max);
         let greatest = low_m.iter().chain(high_m).fold(0.0_f64, |greatest, number| greatest.max(number.abs()));
-        // Large enough not to be lost beside the coordinates.
+        // The side is large enough not to be lost beside the coordinates.
         let longest = if longest > (1e-9 * greatest).max(1e-9) { longest } else { ONE_PLACE_M.max(1e-6 * greatest) };
         let margin = (MARGIN * longest).max(edge_m.unwrap_or(0.0));
         let low: Vec<f64> = low_m.iter().map(|low| low - margin).collect();
@@ -89,7 +89,7 @@ impl Cells {
 #[derive(Clone, Copy)]
 struct CellLimits {
     times: u64,
-    /// Steps of the window of a time.
+    /// Number of steps of the window of a time.
     steps: u64,
     max_predictions: u64,
 }
@@ -143,7 +143,7 @@ pub(super) fn find_vector(view: &MapView, field: &str, name: &str) -> Result<(St
         Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle | StateShape::Categorical(_)))) => {
             Err(Problem::NoVector { state: name.to_owned(), shape }.of(field).into())
         }
-        // The error of an unknown name.
+        // This returns the error of an unknown name.
         None => find_state(view, name).map(|first| (first, Dimensions::Two)),
     }
 }
@@ -196,7 +196,7 @@ fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) 
     v1::PredictPositionsResponse { message: Some(Message::Header(header)) }
 }
 
-/// What is expected at a time, or in the window that begins then.
+/// The expected positions at a time, or in the window that begins then.
 struct Expected {
     probabilities: Vec<f64>,
     mean_m: Vec<f64>,
@@ -204,8 +204,8 @@ struct Expected {
     count: f64,
 }
 
-/// The mean over a window's steps, each weighted by the positions expected then; without a window there is one step.
-/// `None` if the reader is gone.
+/// The mean over a window's steps, each weighted by the number of positions expected then; without a window there is
+/// one step. `None` if the reader is gone.
 fn expected(
     model: &PositionModel,
     cells: &Cells,

@@ -28,7 +28,7 @@ use crate::{
     },
 };
 
-/// Observations of one reply.
+/// Number of observations in one reply.
 const READINGS_PER_REPLY: usize = 8192;
 
 pub(super) async fn reconstruct(
@@ -61,7 +61,7 @@ pub(super) struct PastQuery {
     pub(super) within_nanos: Range<i64>,
 }
 
-/// A function that gathers the readings in a blocking thread unless it is told to stop, and the permits to hold
+/// Returns a function that gathers the readings in a blocking thread unless it is stopped, and the permits to hold
 /// meanwhile.
 pub(super) async fn past(
     queries: &Queries,
@@ -102,7 +102,7 @@ pub(super) async fn past(
 async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcError> {
     let Some(cell) = cell_from_wire("state", name)? else { return find_state(view, name).map(Subject::State) };
     let for_thread = Arc::clone(view);
-    // Its tile may have to be read from the disk.
+    // The tile of the cell may have to be read from the disk.
     let found = crate::task::blocking(move || find_cell(&for_thread, cell).map(drop));
     found.await??;
     let (index, place) = cell.tile();

@@ -37,13 +37,13 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
-/// Times whose phasors are held at once: some 10 MB at 168 periodicities.
+/// Number of times whose phasors are held at once: some 10 MB at 168 periodicities.
 const TIMES_PER_BLOCK: usize = 4096;
 
-/// What the replies for a part of a name depend on.
+/// The kind of a part of a name; its replies depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum PartKind {
-    /// Itself.
+    /// The part is the whole state.
     Alone,
     /// The cosine and the sine of an angle, which follow one another and have one reply.
     Angle,
@@ -106,7 +106,7 @@ impl NamedAxes {
     }
 }
 
-/// Whether a view has the state or the cell of this name.
+/// Whether a view has the state or the cell with this name.
 fn is_in(view: &MapView, name: &str) -> bool {
     let Some(Ok(cell)) = CellIndex::from_name(name) else { return view.shape(name).is_some() };
     let (tile, place) = cell.tile();
@@ -114,7 +114,8 @@ fn is_in(view: &MapView, name: &str) -> bool {
     live.is_some_and(|live| live.known.contains(place))
 }
 
-/// The view that answers: that of the index, while the map is opened, if it has what is asked for.
+/// The view that answers: while the map is opened, the view of the index, if it has all states and cells of the
+/// question.
 async fn view_for(handle: &MapHandle, question: &StatesQuestion) -> Result<Arc<MapView>, RpcError> {
     let view = handle.view();
     if question.selector.is_of_generation() && question.names.iter().all(|name| is_in(&view, name)) {
@@ -141,7 +142,7 @@ pub(super) async fn predict_states(
     }
     // An interval costs about as much as thirteen predictions.
     let cost = if question.interval_level.is_some() { 13 * predictions } else { predictions };
-    // Held while cells are read from the disk, too.
+    // The permit is held while cells are read from the disk, too.
     let permit = queries.permit_for(cost).await?;
     let subjects = axes.find(&view).await?;
     check_published(&view, subjects.iter().map(|(_, subject)| subject), question.selector.kind)?;
@@ -187,8 +188,8 @@ fn predict_trained(
     })
 }
 
-/// Predicts one state by a trained model, or an angle or a categorical state by those of its parts. `false`: the client
-/// is gone.
+/// Predicts one state by a trained model, or an angle or a categorical state by those of its parts. Returns `false` if
+/// the client is gone.
 fn predict_one(
     view: &MapView,
     (axis, sources): (StateAxis, &[(StateOrCell, Arc<CachedModel>)]),
@@ -240,7 +241,7 @@ impl LabelReplies {
     }
 }
 
-/// The label that a state is of.
+/// The label of a label's state.
 fn label_of(view: &MapView, subject: &StateOrCell) -> String {
     let StateOrCell::State(id) = subject else { return String::new() };
     let label = view.info(*id).and_then(|info| info.name.as_label());
@@ -256,7 +257,7 @@ fn predict(
 ) {
     let StatesQuestion { ref times_nanos, selector, interval_level, .. } = *question;
     let blocks = blocks(times_nanos.len());
-    // The block whose phasors are at hand.
+    // The block whose phasors are in memory.
     let mut at_hand: Option<(usize, PreparedTimes)> = None;
     // The parts of an angle or of a categorical state are neighbours.
     let is_joined =
@@ -310,7 +311,7 @@ fn blocks(times: usize) -> Vec<Range<usize>> {
 fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments: &[Moment]) -> StateFacts {
     let mut last_nanos = subject.persistence(view).last().map(|(nanos, _)| nanos);
     if subject.reporting(view).may_end() {
-        // A value that holds is never newer than what is asked for, and so never of an age below 0.
+        // The time of a value that holds is never newer than the requested times, so that its age is never below 0.
         last_nanos = last_nanos.min(moments.iter().map(|moment| moment.utc_nanos).max());
     }
     StateFacts {
@@ -323,8 +324,8 @@ fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments
     }
 }
 
-/// The angle whose cosine and sine these are: the direction of both. Its interval reaches as far to both sides as those
-/// of the two, and may end beyond -π or π.
+/// The angle whose cosine and sine these are: the direction of both. Its interval extends equally to both sides, by the
+/// deviation that follows from the half-widths of the two intervals, and may end beyond -π or π.
 fn angle(cosine: StateForecast, sine: StateForecast) -> StateForecast {
     let StateForecast { values: cosines, intervals: about_cosines, facts } = cosine;
     let StateForecast { values: sines, intervals: about_sines, facts: StateFacts { order, .. } } = sine;

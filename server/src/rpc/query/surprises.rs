@@ -1,4 +1,5 @@
-//! `ListSurprises`: what was unusual before it was learned, and what is unusual of what no update has learned yet.
+//! `ListSurprises`: learned observations that were unusual before they were learned, and unusual observations that no
+//! update has learned yet.
 //!
 //! Invariant: an observation is either pending or learned: the pending ones and the view are of the same generation.
 
@@ -26,14 +27,15 @@ use crate::{
     },
 };
 
-/// How often the pending observations are read again if an update has ended meanwhile.
+/// Number of attempts to read the pending observations, if an update has ended meanwhile.
 const ATTEMPTS: usize = 3;
 
 pub(super) async fn list_surprises(
     queries: &Queries,
     request: v1::ListSurprisesRequest,
 ) -> Result<v1::ListSurprisesResponse, RpcError> {
-    // First, so that the answer to a request for a map of others does not depend on the rest of it.
+    // The map is looked up first, so that the answer to a request for a map of others does not depend on the rest of
+    // the request.
     let handle = find_map(&queries.catalog, &request.map).await?;
     let (names, question) = surprises_from_wire(request)?;
     check_limit("states", names.len() as u64, STATES_MAX as u64, "states of a request")?;
@@ -58,10 +60,10 @@ pub(super) async fn list_surprises(
     Err(RpcError::Updating(UPDATE_WITHIN.as_secs()))
 }
 
-/// The states of these names, each once; all states without names.
+/// The states of these names, each once; all states if there are no names.
 fn asked_states(view: &MapView, names: &[String]) -> Result<Vec<StateId>, RpcError> {
     if names.is_empty() {
-        // There are at most as many as an id can number.
+        // The number of states is at most the number of ids.
         return Ok((0..view.len()).map(|id| StateId(id as u32)).collect());
     }
     let find = |(index, name): (usize, &String)| {
@@ -100,7 +102,7 @@ async fn pending(
     Ok(found)
 }
 
-/// What the pending observations of states stand for.
+/// The readings that the pending observations of states represent.
 ///
 /// # Errors
 /// More than `max` readings together.

@@ -1,11 +1,12 @@
 //! `WatchAnomalies`: unexpected observations, as they arrive.
 //!
-//! The writer copies what it applies into pieces, and sends them when the view that shows them is published
-//! ([`crate::ingest::anomaly_feed`]). A watch judges them in its own task, by the models that were in force when they
-//! were applied, however late it is. What falls out of the feed, or is two updates behind, is counted as missed, and a
-//! reader that reads nothing for five minutes is disconnected. An observation ahead of the clock is judged at once,
-//! although it waits to be learned. Scans come as the bits of tiles that they changed, from which a watch follows its
-//! cells; where scans were missed, it begins again with what the tiles show.
+//! The writer copies the observations that it applies into pieces, and sends them when the view that shows them is
+//! published ([`crate::ingest::anomaly_feed`]). A watch judges them in its own task, by the models that were in force
+//! when they were applied, however late the watch is. An observation that falls out of the feed, or is two updates
+//! behind, is counted as missed, and a reader that reads nothing for five minutes is disconnected. An observation with
+//! a time after the clock is judged at once, although it waits to be learned. Scans arrive as the bits of the tiles
+//! that they changed, from which a watch follows its cells; where scans were missed, the watch begins again with the
+//! present bits of the tiles.
 //!
 //! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it. Judging has its own
 //! permits, which leave processors free.
@@ -55,11 +56,11 @@ use crate::{
     shares::{Share, Shares, client::Client},
 };
 
-/// Replies that wait for the reader.
+/// Number of replies that wait for the reader.
 const REPLIES_AHEAD: usize = 2;
-/// Anomalies of one reply.
+/// Number of anomalies in one reply.
 const ANOMALIES_PER_REPLY: usize = 1024;
-/// A reply waits this long for its reader. Longer than elsewhere, because people watch, and pause.
+/// A reply waits this long for its reader. The time is longer than elsewhere, because people watch, and pause.
 const READ_WITHIN: Duration = Duration::from_secs(300);
 
 type Sender = mpsc::Sender<Result<v1::WatchAnomaliesResponse, Status>>;
@@ -72,7 +73,7 @@ pub(super) struct Watches {
 }
 
 impl Watches {
-    /// They take of these shares.
+    /// Creates the limits; watches take from these shares.
     pub(super) fn new(shares: Shares) -> Self {
         Self { shares, permits: Arc::new(Semaphore::new((processors() / 2).max(1))) }
     }
@@ -103,7 +104,7 @@ pub(super) async fn watch_anomalies(
     let permits = Arc::clone(&queries.watches.permits);
     let watch = Watch { handle, watched: states, scans, confidence, selector, permits, sent, missed: 0 };
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
-    // Reserved now: when the reader is slow, there is no room for the last reply.
+    // The room is reserved now: when the reader is slow, there is no room for the last reply.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
     crate::task::spawn(async move {
         let _place = place;
@@ -114,9 +115,9 @@ pub(super) async fn watch_anomalies(
     Ok(ReceiverStream::new(stream))
 }
 
-/// What is watched.
+/// The states and cells that are watched.
 struct Selection {
-    /// `None`: all, including future ones.
+    /// `None`: all states, including future ones.
     states: Option<HashSet<StateId>>,
     cells: BTreeSet<CellIndex>,
 }
@@ -163,17 +164,17 @@ type StateReading = (StateId, Reading);
 /// An anomaly of a state or a cell.
 type Found = (AnomalySubject, Anomaly);
 
-/// What an anomaly is of.
+/// The state or cell of an anomaly.
 #[derive(Clone, Copy)]
 enum AnomalySubject {
     State(StateId),
     Cell(CellIndex),
 }
 
-/// AnomalySubject cells.
+/// The cells that are watched.
 struct CellsWatch {
     cells: Arc<BTreeSet<CellIndex>>,
-    /// Absent while it judges.
+    /// `None` while it judges.
     follower: Option<CellFollower>,
     scans: FeedReceiver,
     /// Number of scans before the next event.
@@ -187,7 +188,7 @@ impl CellsWatch {
         Ok(CellsWatch { cells, follower: Some(follower), scans, sent })
     }
 
-    /// Begins again after scans were missed; gives their number.
+    /// Begins again after scans were missed; returns the number of missed scans.
     async fn resume(&mut self, handle: &MapHandle) -> Result<u64, RpcError> {
         let (follower, CellFeed { scans, sent, .. }) = follow(handle, &self.cells).await?;
         let missed = sent.saturating_sub(self.sent);
@@ -207,7 +208,7 @@ async fn follow(handle: &MapHandle, cells: &BTreeSet<CellIndex>) -> Result<(Cell
     Ok((CellFollower::new(grid, cells.iter().copied()), feed))
 }
 
-/// The next message; never without a receiver.
+/// The next message. Without a receiver, it never comes.
 async fn next(receiver: Option<&mut FeedReceiver>) -> Result<Arc<FeedMessage>, RecvError> {
     match receiver {
         Some(receiver) => receiver.recv().await,
@@ -315,7 +316,7 @@ impl Watch {
         applied.states.iter().copied().zip(readings).filter(|(state, _)| is_watched(state)).collect()
     }
 
-    /// Sends anomalies, and the number of missed observations. `false`: the client is gone.
+    /// Sends anomalies, and the number of missed observations. Returns `false` if the client is gone.
     async fn reply(&mut self, found: &[Found], replies: &Sender) -> Result<bool, RpcError> {
         let mut pieces: Vec<_> = found.chunks(ANOMALIES_PER_REPLY).collect();
         if pieces.is_empty() && self.missed > 0 {
@@ -359,17 +360,17 @@ fn unexpected(
     confidence: Confidence,
 ) -> Vec<(StateId, Anomaly)> {
     let mut by_state: Vec<usize> = (0..observed.len()).collect();
-    // Stable, so that the observations of a state keep their order.
+    // The sort is stable, so that the observations of a state keep their order.
     by_state.sort_by_key(|&i| observed[i].0);
     let mut found = Vec::new();
     for places in by_state.chunk_by(|&a, &b| observed[a].0 == observed[b].0) {
         let state = observed[places[0]].0;
         let reporting = models.info(state).map_or(Reporting::Samples, |info| info.reporting);
         if matches!(reporting, Reporting::Events(_)) {
-            // One event is no number of events in a step.
+            // A single event is not a number of events in a step.
             continue;
         }
-        // A row that says that nothing is known is none.
+        // A row that states that the value is unknown is no reading.
         let places: Vec<usize> = places.iter().copied().filter(|&i| !observed[i].1.1.is_nan()).collect();
         let readings: Vec<Reading> = places.iter().map(|&i| observed[i].1).collect();
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();

@@ -59,7 +59,7 @@ impl Edges {
         self.edges.forecast_with(edge, time_nanos, success)
     }
 
-    /// Number of reports of an edge.
+    /// The number of reports of an edge.
     pub(super) fn reports(&self, edge: EdgeId) -> u64 {
         self.edges.reports(edge)
     }

@@ -1,4 +1,5 @@
-//! `LandmarkService`: the landmarks of nodes and edges, which are visible when, and where a robot is by what it sees.
+//! `LandmarkService`: the landmarks of nodes and edges, which of them are visible when, and the position of a robot
+//! from its features.
 //!
 //! Invariant: an edit is durable and published when it is answered; an answer is of one view.
 
@@ -57,7 +58,7 @@ fn predicted<'a>(
     Ok(view.predict_landmarks(place, part, &view.prepare(&[time_nanos]), ModelSelector::default())?)
 }
 
-/// Which of them are expected, the most probable first.
+/// The indices of the expected landmarks, the most probable first.
 fn expected(landmarks: &[PredictedLandmark<'_>], max_count: usize) -> Vec<usize> {
     let numbers: Vec<_> = landmarks.iter().map(|landmark| [landmark.probability, landmark.mean]).collect();
     most_probable(&numbers, max_count)
@@ -67,7 +68,7 @@ async fn edit(handle: &MapHandle, edit: LandmarkEdit) -> Result<(), RpcError> {
     edit_site(handle, SiteEdit::Landmarks(edit)).await
 }
 
-/// The landmarks of a place that were in view often enough, and hardly ever seen.
+/// The landmarks of a place that were in view often enough, but were hardly ever seen.
 fn seldom_seen(
     view: &MapView,
     place: &PlaceName,
@@ -87,7 +88,7 @@ fn all_places(view: &MapView) -> Vec<(PlaceName, LandmarkPlace, Arc<LandmarksAtP
     view.site().landmarks().places().filter_map(named).collect()
 }
 
-/// What a request removes, by place.
+/// The landmarks that a request removes, by place.
 fn to_remove(view: &MapView, removal: LandmarkRemoval) -> Result<Vec<(PlaceName, Vec<StateName>)>, RouteError> {
     let (place, below, min_sightings) = match removal {
         LandmarkRemoval::Named(place, names) => return Ok(vec![(place, names)]),

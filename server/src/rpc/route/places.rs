@@ -1,4 +1,4 @@
-//! Nodes, and the states that say whether the target is there.
+//! Nodes, and the states that record whether the target is there.
 //!
 //! Invariant: a place is a node whose state was observed and is a probability.
 
@@ -19,7 +19,7 @@ const NODES_SHOWN: usize = 10;
 /// Maximum number of unobserved nodes in a reply.
 const UNOBSERVED_SHOWN: usize = 1_000;
 
-/// Name of the state that says whether the target is at a node.
+/// Name of the state that records whether the target is at a node.
 pub(super) fn state_at(node: &str, object: &str) -> String {
     if object.is_empty() { node.to_owned() } else { format!("node/{node}/{object}") }
 }

@@ -117,7 +117,7 @@ pub(super) async fn predict_edges(
     request: v1::PredictEdgesRequest,
 ) -> Result<v1::PredictEdgesResponse, RpcError> {
     let (handle, view, _) = routes.find(&request.map).await?;
-    // Closed edges are predicted, too.
+    // Closed edges are predicted as well.
     let topology = Arc::clone(view.site().topology());
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = planning_selector_from_wire("model", request.model)?;

@@ -81,7 +81,7 @@ pub(super) async fn plan_search(
             Some(predictor) => {
                 let probability = |node: NodeId, arrival_secs: f64| {
                     let later_nanos = (arrival_secs * 1e9) as i64;
-                    // Nodes ascend.
+                    // The nodes are in ascending order.
                     let index = nodes.binary_search(&node).unwrap_or(usize::MAX);
                     predictor.at(index, time_nanos.saturating_add(later_nanos)).clamp(0.0, 1.0)
                 };

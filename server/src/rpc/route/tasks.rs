@@ -34,7 +34,7 @@ use crate::{
     },
 };
 
-/// How long a plan may take.
+/// Maximum time for a plan.
 const WITHIN: Duration = Duration::from_secs(60);
 
 impl Routes {
@@ -55,7 +55,7 @@ impl Routes {
         let work = move |stop: StopSignal<'_>| {
             let occurrences = occurrences(view.site().tasks().tasks(), &view.spec().zone, asked.day);
             let first_nanos = slots.start_nanos(0);
-            // Later on the day, earlier ones are over.
+            // Times of the day before `ready_nanos` are over.
             let ready_nanos = asked.ready_nanos.unwrap_or(first_nanos).max(first_nanos);
             let RouteOptions { recovery_secs, failure_cost_secs, .. } = RouteOptions::default();
             let day = MapDay {
@@ -98,7 +98,7 @@ impl Routes {
     }
 }
 
-/// The node where the robot is at first: the named one, or that of the charger.
+/// The node where the robot is at first: the node that is named, or that of the charger.
 fn start_node(view: &MapView, topology: &Topology, named: Option<&str>) -> Result<NodeId, RpcError> {
     let map = view.spec().name.as_str();
     if let Some(name) = named {
@@ -114,7 +114,7 @@ fn start_node(view: &MapView, topology: &Topology, named: Option<&str>) -> Resul
     });
     let mut charging = view.site().tasks().tasks().filter(|task| task.name.kind.as_str() == CHARGE_KIND);
     let by_task = || charging.find_map(|task| topology.node_named(task.name.node.as_str()).ok()).map(|node| node.id);
-    // Without any node, this names what is missing.
+    // If there is no node at all, this error names what is missing.
     if topology.nodes().len() == 0 {
         find_node(map, topology, "")?;
     }

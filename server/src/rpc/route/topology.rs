@@ -19,7 +19,7 @@ use super::Routes;
 use crate::rpc::{RpcReply, lookup::find_map, map::edit_site, status::RpcError};
 
 impl Routes {
-    /// Edits a map's topology. Gives the numbers of nodes and edges after that.
+    /// Edits a map's topology. Returns the numbers of nodes and edges after that.
     async fn edit(&self, map: &str, edit: TopologyEdit) -> Result<(u32, u32), RpcError> {
         let handle = find_map(&self.catalog, map).await?;
         edit_site(&handle, SiteEdit::Topology(edit)).await?;

@@ -1,6 +1,6 @@
-//! Why a request is neither answered here nor passed on.
+//! Errors of requests that are neither answered here nor passed on.
 //!
-//! Invariant: the message says whether to try again.
+//! Invariant: the message states whether to try again.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Why the content of a map does not fit a field of a request. Errors that can be found without
-//! the map are found where the wire is converted.
+//! Errors of a field of a request that does not fit the content of a map. Errors that can be found without the map are
+//! found where the wire format is converted.
 //!
 //! Invariant: each error names its field, the value, and what would fit.
 
@@ -19,7 +19,7 @@ pub(crate) struct Misfit {
     pub problem: Problem,
 }
 
-/// What does not fit.
+/// The problem of the field.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum Problem {
     #[error("state {state:?} is a {}: a probability is needed here", .kind.name())]

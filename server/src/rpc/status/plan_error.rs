@@ -1,4 +1,4 @@
-//! Why a request to explore fails.
+//! Errors of requests to explore.
 //!
 //! Invariant: each error has one gRPC code and one reason.
 

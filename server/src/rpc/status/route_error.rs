@@ -1,4 +1,4 @@
-//! Why a request about topology, routes or searches fails.
+//! Errors of requests about topology, routes or searches.
 //!
 //! Invariant: each error has one gRPC code and one reason.
 

@@ -81,12 +81,12 @@ fn plane(view: &MapView, field: &str, name: &str, may_be_angle: bool) -> Result<
                 if may_be_angle { Problem::NoDirection { state, shape } } else { Problem::NoVector { state, shape } };
             Err(problem.of(field).into())
         }
-        // The error of an unknown name.
+        // This returns the error of an unknown name.
         None => find_state(view, name).and_then(|_| Err(RpcError::Stopping)),
     }
 }
 
-/// The error of a flow, if it is one of a model.
+/// Names the flow in an error of a model; returns other errors unchanged.
 fn flow_error(error: RpcError, state: &str, motion_state: &str) -> RpcError {
     match error {
         RpcError::ModelUnavailable { map, reason, .. } => {

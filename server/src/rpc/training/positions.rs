@@ -57,7 +57,7 @@ impl ModelTrainer {
     /// The model of a state by the places that a vector with these axes had at the same times.
     ///
     /// # Errors
-    /// As [`ModelTrainer::position_model`]; also if the two have no time in common.
+    /// See [`ModelTrainer::position_model`]; also if the state and the vector have no time in common.
     pub(in crate::rpc) async fn place_model(
         self: &Arc<Self>,
         learned: Arc<LearnedState>,

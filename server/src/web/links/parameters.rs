@@ -1,6 +1,6 @@
 //! The parameters of an address: `?at=…&layer=…`.
 //!
-//! Invariant: each is known and is there once, so that a misspelt one is never ignored.
+//! Invariant: each parameter is known and occurs once, so that a misspelt parameter is never ignored.
 
 use super::{Failure, Parameter};
 
@@ -24,7 +24,7 @@ fn decoded(text: &str) -> Option<String> {
 }
 
 impl Given {
-    /// The parameters of a query.
+    /// Parses the parameters of a query.
     pub(in super::super) fn of(query: Option<&str>, known: &'static [Parameter]) -> Result<Self, Failure> {
         let mut given: Vec<(&'static str, String)> = Vec::new();
         for part in query.unwrap_or("").split('&').filter(|part| !part.is_empty()) {
@@ -48,7 +48,7 @@ impl Given {
         Ok(Self(given))
     }
 
-    /// The value of a parameter; none if it is not given, or empty.
+    /// The value of a parameter; `None` if it is not given, or empty.
     pub(in super::super) fn get(&self, name: &str) -> Option<&str> {
         self.0.iter().find(|(known, value)| *known == name && !value.is_empty()).map(|(_, value)| value.as_str())
     }

@@ -1,7 +1,7 @@
 //! `GET /api/v1/maps/NAME/grid.png`: the columns of a grid at a time, north at the top, painted as all pictures are.
 //!
-//! Invariant: the number of pixels is checked before cells are asked for. A column shows its most probable known cell
-//! of the heights, as on the page. All of a picture is from one view.
+//! Invariant: the number of pixels is checked before cells are selected. A column shows its most probable known cell of
+//! the heights, as on the page. All of a picture is from one view.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ use crate::rpc::{query::Queries, status::RpcError};
 const SIDE_MAX: i64 = 8192;
 /// Maximum number of pixels.
 const PIXELS_MAX: i64 = 1 << 24;
-/// Heights that matter to a robot, metres; the floor and the ceiling are always occupied.
+/// Heights that are relevant to a robot, metres; the floor and the ceiling are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
 
 /// The parameters of the address.
@@ -75,7 +75,7 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
 ];
 
-/// The names of layers in addresses, what they show, and the model that they ask.
+/// The names of layers in addresses, the layer that each shows, and the model that predicts it.
 const LAYERS: [(&str, Layer, ModelKind); 4] = [
     ("probability", Layer::Probability, ModelKind::Auto),
     ("entropy", Layer::Entropy, ModelKind::Auto),
@@ -85,16 +85,16 @@ const LAYERS: [(&str, Layer, ModelKind); 4] = [
 
 /// A column that is not known.
 const UNKNOWN: u8 = 255;
-/// A probability of 1; a byte a column keeps large pictures small.
+/// A probability of 1; one byte per column keeps large pictures small.
 const FULL: u8 = 254;
 
-/// The byte of a probability.
+/// The byte that encodes a probability.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is clamped")]
 fn entry(probability: f32) -> u8 {
     (probability.clamp(0.0, 1.0) * f32::from(FULL)).round() as u8
 }
 
-/// The probability of a byte; `None`: not known.
+/// The probability that a byte encodes; `None`: not known.
 fn probability(entry: u8) -> Option<f64> {
     (entry != UNKNOWN).then(|| f64::from(entry) / f64::from(FULL))
 }
@@ -112,7 +112,7 @@ impl PixelColumns {
         Self { region, cells: vec![UNKNOWN; usize::try_from(width * height).unwrap_or(0)] }
     }
 
-    /// Adds the columns of a projected tile that lie within the region.
+    /// Adds the columns of a projected tile that are within the region.
     fn add(&mut self, tile: &TileCells, levels: (f32, f32)) {
         let [width, height] = sides(&self.region);
         for (place, prediction) in tile.known_cells(levels) {
@@ -130,20 +130,20 @@ impl PixelColumns {
     }
 }
 
-/// What a picture is painted from.
+/// The data from which a picture is painted.
 struct Painting {
     layer: Layer,
     /// Probabilities after a free and an occupied reading.
     levels: (f64, f64),
     now: PixelColumns,
-    /// The columns that a difference is taken from.
+    /// The columns of the other time, for a difference.
     before: Option<PixelColumns>,
 }
 
 impl Painting {
     /// The columns in their colours, north at the top.
     fn canvas(&self, scale: u32) -> Canvas {
-        // Levels as the columns have them, so that what never changes is white or black.
+        // The levels are rounded as the columns are, so that a cell that never changes is white or black.
         let level = |level: f64| f64::from(entry(level as f32)) / f64::from(FULL);
         let painter = Painter::new(self.layer, (level(self.levels.0), level(self.levels.1)));
         let [width, _] = sides(&self.now.region);
@@ -181,13 +181,13 @@ fn sides(CellBox { min, max }: &CellBox) -> [i64; 2] {
     [side(min.x, max.x), side(min.y, max.y)]
 }
 
-/// Where cells lie along an axis.
+/// The position of cells along an axis.
 #[derive(Clone, Copy)]
 struct Axis {
     name: &'static str,
     origin_m: f64,
     resolution_m: f64,
-    /// The first cell, and the one beyond the last.
+    /// The first cell, and the one after the last.
     cells: (i32, i32),
 }
 
@@ -215,13 +215,13 @@ impl Axis {
         )))
     }
 
-    /// The heights that are shown if none were asked for.
+    /// The heights that are shown if the address names none.
     fn usual(self) -> (i32, i32) {
         self.within(Some(HEIGHTS_M)).unwrap_or(self.cells)
     }
 }
 
-/// What an address asks for.
+/// The parameters of an address.
 struct Wanted {
     map: String,
     at: i64,
@@ -229,7 +229,7 @@ struct Wanted {
     than: Option<i64>,
     layer: Layer,
     model: ModelKind,
-    /// Pixels along the side of a cell; none: as many as the picture needs to be read.
+    /// Pixels along the side of a cell; none: as many as are necessary for a readable picture.
     scale: Option<u32>,
     has_legend: bool,
     ranges: [Option<(f64, f64)>; 3],
@@ -288,7 +288,7 @@ impl Wanted {
         })
     }
 
-    /// What stands below a picture, without its colours.
+    /// The text below a picture, without its colours.
     fn legend(&self, metres_per_pixel: f64) -> Legend {
         let text = tidemap_model::time::format_rfc3339;
         let than = self.than.map_or_else(String::new, |than| format!(", compared with {}", text(than)));
@@ -296,7 +296,7 @@ impl Wanted {
         Legend { caption, rows: Vec::new(), metres_per_pixel }
     }
 
-    /// The part of a grid with these bounds.
+    /// The selected part of a grid with these bounds.
     fn region(&self, spec: &GridSpec, bounds: &CellBox) -> Result<CellBox, Failure> {
         let CellBox { min, max } = bounds;
         let axis = |name, along: usize, cells| {
@@ -323,7 +323,7 @@ impl Wanted {
     }
 }
 
-/// What was found for a picture.
+/// The data that was found for a picture.
 struct Found {
     view: Arc<MapView>,
     spec: GridSpec,
@@ -331,10 +331,10 @@ struct Found {
     painting: Painting,
 }
 
-/// Asks for the columns of a picture; the outer error is of the question, the inner one of the address.
+/// Predicts the columns of a picture. The outer error is that of the query, the inner one is that of the address.
 async fn find(queries: &Queries, wanted: &Wanted) -> Result<Result<Found, Failure>, RpcError> {
     let view = queries.grid_view(&wanted.map, wanted.selector()).await?;
-    // The bounds of the grid are wanted with all its heights.
+    // The bounds of the grid are selected with all its heights.
     let whole = GridQuestion { utc_nanos: wanted.at, selector: wanted.selector(), ..GridQuestion::default() };
     let bounds = queries.select_cells(&view, whole).await?;
     let Some(grid) = view.grid().filter(|_| bounds.tile_count > 0) else {
@@ -387,7 +387,7 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
     Ok(visitor.answer("image/png", file, facts))
 }
 
-/// Answers with the picture.
+/// The response with the picture.
 pub(in super::super) async fn grid_png(
     State(gateway): State<Gateway>,
     Path(map): Path<String>,
@@ -405,7 +405,7 @@ mod tests {
 
     const REGION: CellBox = CellBox { min: CellIndex { x: 7, y: 0, z: 0 }, max: CellIndex { x: 10, y: 2, z: 1 } };
 
-    /// The cells (8, 0) free, (9, 0) occupied, (8, 1) with a value, and one that lies outside.
+    /// The cells (8, 0) free, (9, 0) occupied, (8, 1) with a value, and one outside the region.
     fn columns(value: f32) -> PixelColumns {
         let mut columns = PixelColumns::empty(REGION);
         let mut known = Mask::EMPTY;

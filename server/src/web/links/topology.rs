@@ -1,7 +1,7 @@
-//! `GET /api/v1/maps/NAME/topology.geojson`: nodes and edges with what is predicted of them at a time.
+//! `GET /api/v1/maps/NAME/topology.geojson`: nodes and edges with their predictions at a time.
 //!
-//! Invariant: coordinates are metres in the map's frame, which the document says in the member `tidemap`. A node
-//! without a position has the geometry null, as RFC 7946 section 3.2 allows; so do its edges.
+//! Invariant: coordinates are metres in the map's frame, which the document states in the member `tidemap`. A node
+//! without a position has the geometry null, as RFC 7946 section 3.2 allows; so do the edges of the node.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -43,11 +43,11 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
 ];
 
-/// What is known of a topological map at a time.
+/// A topological map with its predictions at a time.
 struct PredictedNetwork {
     topology: Topology,
     predicted: Vec<EdgePrediction>,
-    /// Presence by the name of the node.
+    /// The predicted presence, by the name of the node.
     presence: HashMap<String, f64>,
 }
 
@@ -111,7 +111,7 @@ impl PredictedNetwork {
     }
 }
 
-/// A reply beyond [`REPLY_BYTES`] is an error of the transport.
+/// Converts an error of an RPC. A reply larger than [`REPLY_BYTES`] is an error of the transport.
 fn or_too_large(status: tonic::Status) -> Failure {
     if status.code() == Code::OutOfRange {
         return Failure::TooLarge(format!("the topology has more than {REPLY_BYTES} bytes: ask for it over gRPC"));
@@ -140,7 +140,7 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
     Ok(visitor.answer("application/geo+json", text, HeaderMap::new()))
 }
 
-/// Answers with the document.
+/// The response with the document.
 pub(in super::super) async fn topology_geojson(
     State(gateway): State<Gateway>,
     Path(map): Path<String>,

@@ -1,8 +1,8 @@
-//! One import: the program `tidemap` reads the file and sends what it finds, as any client would.
+//! One import: the program `tidemap` reads the file and sends its observations, as any client would.
 //!
-//! Invariant: the program has nothing of the daemon but a Unix socket that nobody else can reach, on which the caller's
-//! token is checked as on every port. It ends before its file is removed, whoever leaves first: the sender, who
-//! reads what it says, the sender's token, or the daemon. What it says is bounded, and so are its memory, its processor
+//! Invariant: the program has no access to the daemon but a Unix socket that nobody else can reach, on which the
+//! caller's token is checked as on every port. It ends before its file is removed, whatever ends first: the sender, who
+//! reads its output, the sender's token, or the daemon. Its output is bounded, and so are its memory, its processor
 //! time and its duration.
 
 use std::{
@@ -41,35 +41,35 @@ use crate::{
     rpc::{self, admission::Admitted, guard::Access, serve::Services},
 };
 
-/// Processor time of the program: so many seconds, and one more for so many bytes of the file. A hostile file of a few
-/// bytes could take hours.
+/// Processor time of the program in seconds, plus one second per [`BYTES_PER_CPU_SEC`] bytes of the file. A hostile
+/// file of a few bytes could take hours.
 const CPU_SECS: u64 = 120;
 const BYTES_PER_CPU_SEC: u64 = 256 << 10;
-/// A program that does not end when its processor time is over is killed so many seconds later.
+/// Seconds after which a program is killed that does not end when its processor time is over.
 const CPU_SECS_TO_END: u64 = 5;
-/// An import ends within this time.
+/// Maximum duration of an import.
 const ENDS_WITHIN: Duration = Duration::from_secs(12 * 3600);
-/// The system ends the program before the daemon where memory is short.
+/// With this score the system ends the program before the daemon when memory is short.
 const OOM_SCORE: &str = "1000";
 /// Connections of the program.
 const CONNECTIONS: ConnectionLimits =
     ConnectionLimits { total: 16, per_client: 16, idle_after: Duration::from_secs(60) };
 /// Name of the socket.
 const SOCKET: &str = "socket";
-/// Time between two signs of life.
+/// Time between two progress lines, which show that the import still runs.
 const BEAT_EVERY: Duration = Duration::from_secs(2);
-/// A line must be taken within this time.
+/// Maximum time for a line to be taken.
 const READ_WITHIN: Duration = Duration::from_secs(60);
-/// Maximum number of lines that are told.
+/// Maximum number of lines that are sent.
 const LINES_MAX: usize = 2000;
-/// A longer line is told in parts.
+/// A longer line is sent in parts.
 const LINE_BYTES_MAX: u64 = 4096;
-/// Lines that wait.
+/// Number of lines that wait.
 const LINES_AHEAD: usize = 64;
-/// Exit status of a program that a signal ended, less the signal, as shells have it.
+/// Exit status of a program that a signal ended, minus the signal, as in shells.
 const SIGNALLED: i32 = 128;
 
-/// What the daemon gives to an import.
+/// The resources that the daemon gives to an import.
 pub(super) struct Origin {
     pub(super) services: Services,
     pub(super) access: Access,
@@ -82,7 +82,7 @@ pub(super) struct Import {
     pub(super) program: PathBuf,
     pub(super) map: MapName,
     pub(super) key: ProducerKey,
-    /// What the program proves its sender by.
+    /// The token with which the program proves the identity of its sender.
     pub(super) token: Option<String>,
     /// Size of the file.
     pub(super) bytes: u64,
@@ -90,7 +90,7 @@ pub(super) struct Import {
     pub(super) origin: Origin,
 }
 
-/// Why an import did not end by itself.
+/// The reason why an import did not end by itself.
 #[derive(Debug, thiserror::Error)]
 enum Stopped {
     #[error("the sender is gone")]
@@ -118,7 +118,7 @@ impl Stopped {
     }
 }
 
-/// Who hears of an import.
+/// The recipients of the lines of an import.
 struct Listeners(mpsc::Sender<Result<Bytes, Infallible>>);
 
 impl Listeners {
@@ -133,7 +133,7 @@ impl Listeners {
 }
 
 impl Import {
-    /// Starts the import, and gives the lines that tell of it. It ends when nobody takes them.
+    /// Starts the import, and returns the lines of its output. The import ends when nobody takes them.
     pub(super) fn start(self, admitted: Admitted) -> mpsc::Receiver<Result<Bytes, Infallible>> {
         let (sender, lines) = mpsc::channel(LINES_AHEAD);
         crate::task::spawn(async move {
@@ -149,14 +149,14 @@ impl Import {
                 Ok(exit) => json!({ "done": true, "exit": exit }),
                 Err(error) => error.object(),
             };
-            // Who left does not hear it.
+            // A sender that has left does not receive the line.
             drop(listeners.tell(&last).await);
             drop(admitted);
         });
         lines
     }
 
-    /// Runs the program to its end, and gives its exit status.
+    /// Runs the program to its end, and returns its exit status.
     async fn run(&self, listeners: &Listeners, caller: Caller) -> Result<i32, Stopped> {
         let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Imports, CONNECTIONS));
         acceptor.listen(Listener::Unix(listen_in(self.place.folder())?));
@@ -183,12 +183,12 @@ impl Import {
         let status = match followed {
             Ok(status) => status,
             Err(stopped) => {
-                // One that has ended already needs none.
+                // A program that has already ended is not killed.
                 drop(child.kill().await);
                 return Err(stopped);
             }
         };
-        // The program may have learned it first, and ended.
+        // The program may have noticed the revocation first, and ended.
         if !status.success() && tokio::time::timeout(Duration::ZERO, revoked).await.is_ok() {
             return Err(Stopped::Revoked);
         }
@@ -201,21 +201,21 @@ impl Import {
             .args(["import", "--output", "table", "--patience", "10s"])
             .arg(format!("--producer={}", self.key.producer()))
             .arg(format!("--label={}", self.key.label()))
-            // A name that begins with a dash is no option.
+            // A name that begins with a dash is not an option.
             .args(["--", self.map.as_str(), self.place.file()])
             .current_dir(self.place.recording_folder())
             .env_clear()
             .env("TIDEMAP_SERVER", format!("unix:../{SOCKET}"))
-            // It ends with this process, and leaves the processor to others.
+            // The program ends with this process, and leaves the processor to others.
             .env("TIDEMAP_DAEMON", std::process::id().to_string())
             // Few threads and heaps: each takes address space.
             .envs([("TOKIO_WORKER_THREADS", "2"), ("MALLOC_ARENA_MAX", "2")])
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // The daemon ends it, and no Ctrl-C that is meant for the daemon.
+            // The daemon ends the program, and a Ctrl-C that is meant for the daemon does not.
             .process_group(0);
         if self.token.is_some() {
-            // Neither an argument nor a file: others can see the one, and the other may stay.
+            // The token is neither an argument nor a file: others can see an argument, and a file may remain.
             command.env("TIDEMAP_TOKEN_FILE", "/dev/stdin").stdin(Stdio::piped());
         } else {
             command.stdin(Stdio::null());
@@ -226,18 +226,19 @@ impl Import {
     }
 }
 
-/// Listens on a socket in a folder. Its path is one of this process, because the folder's own may be too long.
+/// Listens on a socket in a folder. The path of the socket goes through this process, because the folder's own path may
+/// be too long.
 fn listen_in(folder: &Path) -> io::Result<tokio::net::UnixListener> {
     let opened = fs::File::open(folder)?;
     listen_unix(&Path::new("/proc/self/fd").join(opened.as_raw_fd().to_string()).join(SOCKET), 0o600)
 }
 
-/// Processor time of the program that reads a file of so many bytes.
+/// Processor time of the program that reads a file of this size.
 fn cpu_secs(bytes: u64) -> u64 {
     CPU_SECS + bytes / BYTES_PER_CPU_SEC
 }
 
-/// Limits what the program may take. It was started a moment ago, and has read nothing yet.
+/// Limits the resources of the program. It was started a moment ago, and has read nothing yet.
 fn limit(child: &Child, memory_bytes: u64, cpu_secs: u64) {
     let Some(pid) = child.id() else { return };
     let pid_raw = i32::try_from(pid).ok().and_then(Pid::from_raw);
@@ -250,14 +251,14 @@ fn limit(child: &Child, memory_bytes: u64, cpu_secs: u64) {
             warn!(%error, what, "what an import takes is not limited");
         }
     }
-    // Where the system does not allow it, the daemon is no worse off than without.
+    // If the system does not allow this, the daemon is in no worse state than without it.
     let _ = fs::write(format!("/proc/{pid}/oom_score_adj"), OOM_SCORE);
 }
 
-/// Tells what the program says, until it ends.
+/// Sends the output of the program, until the program ends.
 async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -> Result<ExitStatus, Stopped> {
     if let (Some(token), Some(mut stdin)) = (token, child.stdin.take()) {
-        // A program that ends before it has read the token says why.
+        // A program that ends before it has read the token reports the reason.
         let _ = stdin.write_all(token.as_bytes()).await;
     }
     let (said, mut lines) = mpsc::channel(LINES_AHEAD);

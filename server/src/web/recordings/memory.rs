@@ -1,8 +1,8 @@
-//! How much memory the program may take that reads recordings.
+//! The amount of memory that a program may take that reads recordings.
 //!
-//! Invariant: where the daemon runs in a control group with a limit of memory, such as a container of Kubernetes, what
-//! all programs may take together fits into what the group has left. The kernel ends all processes of such a group
-//! where its memory is used up, the daemon with them.
+//! Invariant: where the daemon runs in a control group with a limit of memory, such as a container of Kubernetes, the
+//! memory of all programs together fits into the memory that the group has left. When the memory of such a group is
+//! used up, the kernel ends all its processes, including the daemon.
 
 use std::{
     fs,
@@ -13,12 +13,12 @@ use std::{
 const PROGRAM_BYTES: u64 = 2 << 30;
 /// With less address space the program cannot read a usual recording.
 const PROGRAM_BYTES_MIN: u64 = 512 << 20;
-/// What the daemon itself may take meanwhile.
+/// The memory that the daemon itself may take meanwhile.
 const KEPT_BYTES: u64 = 128 << 20;
-/// Where the control groups are.
+/// The folder of the control groups.
 const GROUPS: &str = "/sys/fs/cgroup";
 
-/// Too little is left for one more program.
+/// There is too little memory left for one more program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "an import needs {needed} bytes of memory, and this daemon's control group (memory.max of its container) has {left} \
@@ -31,10 +31,10 @@ pub(super) struct NoMemory {
     needed: u64,
 }
 
-/// What one more program may take, where so many bytes are promised to others.
+/// The memory that one more program may take. `promised` is the number of bytes that others may take.
 ///
 /// # Errors
-/// Too little is left.
+/// There is too little memory left.
 pub(super) fn for_program(promised: u64) -> Result<u64, NoMemory> {
     let own = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
     share_of(left_in(Path::new(GROUPS), &own), promised)
@@ -49,12 +49,12 @@ fn share_of(left: Option<u64>, promised: u64) -> Result<u64, NoMemory> {
     Ok(free.min(PROGRAM_BYTES))
 }
 
-/// What the control group of a process has left, and those above it; `None`: no limit. `own`: the groups of the
-/// process, as `/proc/PID/cgroup` has them.
+/// The memory that the control group of a process, and the groups above it, have left; `None`: no limit. `own` has the
+/// groups of the process, in the form of `/proc/PID/cgroup`.
 fn left_in(groups: &Path, own: &str) -> Option<u64> {
-    // Those of version 1 have other numbers.
+    // Lines of control groups of version 1 have other numbers.
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?;
-    // A path that leads out of what the process sees is that of the root.
+    // If a path leads out of the part that the process sees, its group is the root.
     let below: PathBuf = Path::new(path).components().filter(|part| matches!(part, Component::Normal(_))).collect();
     below.ancestors().filter_map(|group| left_of(&groups.join(group))).min()
 }
@@ -64,7 +64,7 @@ fn left_of(group: &Path) -> Option<u64> {
     // The word "max" is no limit.
     let max = number("memory.max")?;
     let current = number("memory.current")?;
-    // Files that were read or written lately, which the kernel drops first.
+    // This is the size of files that were read or written lately, which the kernel drops first.
     let stat = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
     let dropped = stat.lines().find_map(|line| line.strip_prefix("inactive_file ")?.trim().parse().ok()).unwrap_or(0);
     Some(max.saturating_sub(current.saturating_sub(dropped)))

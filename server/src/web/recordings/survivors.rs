@@ -1,7 +1,7 @@
 //! Programs that an earlier daemon started to import, and that are still there.
 //!
-//! Invariant: only a program `tidemap import` ends that works in the folder of recordings of this data folder. A
-//! program ends with its daemon by itself; this is for one that was kept from it.
+//! Invariant: a program is ended only if it is `tidemap import` and works in the folder of recordings of this data
+//! folder. A program ends with its daemon by itself; this is for a program that could not.
 
 use std::{fs, io, path::Path};
 
@@ -14,7 +14,7 @@ use tracing::warn;
 /// Ends the programs that work in a folder.
 ///
 /// # Errors
-/// One cannot be ended.
+/// A program cannot be ended.
 pub(super) fn end_all(folder: &Path) -> io::Result<()> {
     let Ok(folder) = folder.canonicalize() else { return Ok(()) };
     for process in fs::read_dir("/proc")?.filter_map(Result::ok) {
@@ -24,7 +24,7 @@ pub(super) fn end_all(folder: &Path) -> io::Result<()> {
         {
             warn!(pid = pid.as_raw_nonzero(), "a program that imports for an earlier daemon is ended");
             match kill_process(pid, Signal::KILL) {
-                // It has ended meanwhile.
+                // The program has ended meanwhile.
                 Ok(()) | Err(Errno::SRCH) => {}
                 Err(error) => return Err(error.into()),
             }
@@ -34,7 +34,7 @@ pub(super) fn end_all(folder: &Path) -> io::Result<()> {
 }
 
 fn is_import_in(process: &Path, folder: &Path) -> bool {
-    // What belongs to other users cannot be read, and was not started by a daemon of this data folder.
+    // A process of another user cannot be read, and was not started by a daemon of this data folder.
     let Ok(works_in) = fs::read_link(process.join("cwd")) else { return false };
     let arguments = fs::read(process.join("cmdline")).unwrap_or_default();
     let mut arguments = arguments.split(|byte| *byte == 0);

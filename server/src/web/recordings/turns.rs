@@ -1,8 +1,8 @@
-//! Who may import a recording now.
+//! Turns to import a recording.
 //!
-//! Invariant: at most [`TURNS`] imports at a time, one of a map, one of a token and [`TURNS_OF_CLIENT`] of an address,
-//! so that the robots of one map do not take the turns of another. What the programs of all may take of the memory is
-//! counted together. A turn is free when it is dropped.
+//! Invariant: at most [`TURNS`] imports run at a time, one per map, one per token and [`TURNS_OF_CLIENT`] per address,
+//! so that the robots of one map do not take the turns of another. The memory that all programs may take is counted
+//! together. A turn is free when it is dropped.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -11,25 +11,25 @@ use tidemap_map::name::MapName;
 use super::memory::{self, NoMemory};
 use crate::connections::Peer;
 
-/// Imports at a time.
+/// Maximum number of imports at a time.
 const TURNS: usize = 4;
-/// Imports of one address at a time.
+/// Maximum number of imports of one address at a time.
 const TURNS_OF_CLIENT: usize = 2;
-/// What to do where there is no turn.
+/// The advice in errors when there is no turn.
 const LATER: &str = "try again when it has ended";
 
-/// The turns. Clones share them.
+/// All turns. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Turns(Arc<Mutex<[Option<Holder>; TURNS]>>);
 
-/// Who has a turn.
+/// The holder of a turn.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Holder {
     pub(super) map: MapName,
     pub(super) peer: Peer,
     /// The public part of the sender's token.
     pub(super) token: Option<String>,
-    /// What the program may take of the memory, in bytes.
+    /// The memory that the program may take, in bytes.
     pub(super) memory: u64,
 }
 
@@ -41,7 +41,7 @@ pub(super) struct Turn {
     turns: Turns,
 }
 
-/// Why there is no turn.
+/// The reason why there is no turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum NoTurn {
     #[error("another recording is being imported into this map, and only one can be at a time: {LATER}")]
@@ -61,10 +61,10 @@ impl Turns {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a turn for who wants to import into a map.
+    /// Takes a turn for a sender that imports into a map.
     ///
     /// # Errors
-    /// There is none, or the machine has no memory for the program.
+    /// There is no turn, or the machine has no memory for the program.
     pub(super) fn take(&self, map: &MapName, peer: Peer, token: Option<&str>) -> Result<Turn, NoTurn> {
         let mut holders = self.lock();
         let count = |is_so: &dyn Fn(&Holder) -> bool| holders.iter().flatten().filter(|holder| is_so(holder)).count();
@@ -86,13 +86,13 @@ impl Turns {
         Ok(Turn { number, memory, turns: self.clone() })
     }
 
-    /// Whether one is taken.
+    /// Whether any turn is taken.
     #[cfg(test)]
     pub(super) fn any(&self) -> bool {
         self.lock().iter().any(Option::is_some)
     }
 
-    /// Does something while no turn begins or ends.
+    /// Does work while no turn begins or ends.
     pub(super) fn still<T>(&self, work: impl FnOnce() -> T) -> T {
         let _still = self.lock();
         work()
@@ -100,17 +100,17 @@ impl Turns {
 }
 
 impl Turn {
-    /// The number of the turn: no other has it meanwhile.
+    /// The number of the turn: no other turn has this number meanwhile.
     pub(super) fn number(&self) -> usize {
         self.number
     }
 
-    /// What the program may take of the memory, in bytes.
+    /// The memory that the program may take, in bytes.
     pub(super) fn memory(&self) -> u64 {
         self.memory
     }
 
-    /// All turns.
+    /// All turns, including this one.
     pub(super) fn turns(&self) -> &Turns {
         &self.turns
     }

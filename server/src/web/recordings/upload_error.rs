@@ -1,6 +1,6 @@
-//! Why a recording is not taken.
+//! Errors of recordings that are not taken.
 //!
-//! Invariant: each message says what to do. An error of an RPC is answered as the RPC answers it.
+//! Invariant: each message states what to do. An error of an RPC has the same response as from the RPC.
 
 use std::{io, path::PathBuf};
 
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::rpc::status::RpcError;
 
-/// Why a recording is not taken.
+/// The reason why a recording is not taken.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UploadError {
     #[error("{0}")]
@@ -85,7 +85,7 @@ impl From<Failure> for UploadError {
 }
 
 impl UploadError {
-    /// The answer.
+    /// The response for this error.
     pub(super) fn response(self) -> Response {
         let text = self.to_string();
         let (http, code, reason) = match self {

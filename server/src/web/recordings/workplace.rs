@@ -1,8 +1,8 @@
-//! Where a file waits for its import: a folder in the data folder for each turn.
+//! The place where a file waits for its import: a folder in the data folder for each turn.
 //!
-//! Invariant: the folder of a turn is gone when no import has the turn, whatever ended the last one, and the turn is
-//! free only then. The disk keeps [`FREE_BYTES_KEPT`] for maps. A file arrives at a least pace, so that nobody keeps a
-//! turn by sending little.
+//! Invariant: the folder of a turn is removed when no import has the turn, whatever ended the last import, and only
+//! then is the turn free. The disk keeps [`FREE_BYTES_KEPT`] for maps. A file must arrive at a minimum rate, so that
+//! nobody keeps a turn by sending little.
 
 use std::{
     fs, io,
@@ -18,16 +18,16 @@ use tracing::warn;
 
 use super::{turns::Turn, upload_error::UploadError};
 
-/// Free bytes of the disk that files do not take.
+/// Free bytes of the disk that must remain after files are written.
 const FREE_BYTES_KEPT: u64 = 1 << 30;
-/// Bytes that arrive between two looks at the disk.
+/// Number of bytes that arrive between two checks of the free disk space.
 const LOOK_EVERY_BYTES: u64 = 64 << 20;
-/// More of a file has to arrive within this time.
+/// Maximum time until more of a file arrives.
 const PAUSE: Duration = Duration::from_secs(30);
-/// All pauses together may take so long, and so much more as the bytes that have arrived give.
+/// Maximum time of all pauses together, plus the time that the bytes that have arrived allow.
 const SLACK: Duration = Duration::from_secs(30);
 const BYTES_PER_SEC: u64 = 64 << 10;
-/// A file has to arrive within this time.
+/// Maximum time for a file to arrive.
 const ARRIVES_WITHIN: Duration = Duration::from_secs(6 * 3600);
 /// Maximum size of the name of a file, so that it fits into a label and into any folder.
 const NAME_BYTES_MAX: usize = 120;
@@ -47,16 +47,16 @@ pub(super) fn file_name(given: &str) -> Result<String, UploadError> {
     Ok(name.to_owned())
 }
 
-/// Free bytes of the disk that holds a folder, or will; what the system does not tell bounds nothing.
+/// Free bytes of the disk that has a folder, or will have it. If the system does not report them, there is no bound.
 fn free_bytes(folder: &Path) -> u64 {
     let disk = statvfs(folder).or_else(|_| statvfs(folder.parent().unwrap_or(folder)));
     disk.map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-/// Checks that the disk of a folder has room for so many bytes.
+/// Checks that the disk of a folder has room for this number of bytes.
 ///
 /// # Errors
-/// It has not.
+/// The disk has too little room.
 pub(super) fn check_room(folder: &Path, bytes: u64) -> Result<(), UploadError> {
     let free = free_bytes(folder);
     if free < bytes.saturating_add(FREE_BYTES_KEPT) {
@@ -65,10 +65,10 @@ pub(super) fn check_room(folder: &Path, bytes: u64) -> Result<(), UploadError> {
     Ok(())
 }
 
-/// Removes a folder with all that is in it.
+/// Removes a folder with all its content.
 ///
 /// # Errors
-/// It cannot be removed.
+/// The folder cannot be removed.
 pub(super) fn empty(folder: &Path) -> io::Result<()> {
     match fs::remove_dir_all(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -81,7 +81,7 @@ async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send 
     crate::task::blocking(work).await.unwrap_or_else(|error| Err(io::Error::other(error)))
 }
 
-/// The place of one import. It is emptied when this is dropped.
+/// The place of one import. The folder is emptied when this is dropped.
 #[derive(Debug)]
 pub(super) struct Workplace {
     folder: PathBuf,
@@ -93,22 +93,22 @@ impl Workplace {
     /// Makes the place for a file of this name.
     ///
     /// # Errors
-    /// The disk.
+    /// The disk failed.
     pub(super) async fn make(uploads: &Path, file: &str, turn: Turn) -> io::Result<Self> {
         let (turns, folder) = (turn.turns().clone(), uploads.join(turn.number().to_string()));
         let place = Self { folder, file: file.to_owned(), turn: Some(turn) };
         let (folder, made) = (place.folder.clone(), place.recording_folder());
         on_disk(move || {
-            // Work that was given up may have left something since.
+            // Work that was abandoned may have left files since.
             empty(&folder)?;
-            // Whoever leaves last removes the folder of all.
+            // The last import that ends removes the folder of all.
             turns.still(|| fs::create_dir_all(made))
         })
         .await?;
         Ok(place)
     }
 
-    /// What the program may take of the memory, in bytes.
+    /// The memory that the program may take, in bytes.
     pub(super) fn memory(&self) -> u64 {
         self.turn.as_ref().map_or(0, Turn::memory)
     }
@@ -118,7 +118,7 @@ impl Workplace {
         self.folder.join(RECORDING)
     }
 
-    /// The folder of everything else; seen from the other one, it is `..`.
+    /// The folder of everything else, which is `..` from the folder of the file.
     pub(super) fn folder(&self) -> &Path {
         &self.folder
     }
@@ -128,10 +128,10 @@ impl Workplace {
         &self.file
     }
 
-    /// Writes a file as it arrives, and gives its size.
+    /// Writes a file as it arrives, and returns its size.
     ///
     /// # Errors
-    /// It is too large or empty, does not arrive, or the disk has no room.
+    /// The file is too large or empty, does not arrive, or the disk has no room.
     pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<u64, UploadError> {
         let mut file = tokio::fs::File::create_new(self.recording_folder().join(&self.file)).await?;
         let (mut received, mut looked_at) = (0_u64, 0);
@@ -163,7 +163,7 @@ impl Workplace {
         }
     }
 
-    /// Empties the place, and gives the turn to the next import.
+    /// Empties the place, and frees the turn for the next import.
     pub(super) async fn clear(mut self) {
         if let Some(turn) = self.turn.take() {
             let folder = self.folder.clone();
@@ -172,7 +172,7 @@ impl Workplace {
     }
 }
 
-/// When more of a file has to arrive that began to arrive then, and why it is refused if it does not.
+/// The time by which more of a file has to arrive, whose first byte arrived at `began`, and the error if it does not.
 fn due(began: Instant, received: u64) -> (Instant, UploadError) {
     let pause = (Instant::now() + PAUSE, UploadError::Late { secs: PAUSE.as_secs() });
     let paced = began + SLACK + Duration::from_secs(received / BYTES_PER_SEC);
@@ -186,7 +186,7 @@ fn remove(folder: &Path, turn: Turn) {
     if let Err(error) = empty(folder) {
         warn!(%error, folder = %folder.display(), "a file that was imported is still there; the next start removes it");
     }
-    // It stays while others have a place there.
+    // The parent folder stays while others have a place in it.
     let _ = turn.turns().still(|| folder.parent().map(fs::remove_dir));
     drop(turn);
 }
@@ -195,7 +195,7 @@ impl Drop for Workplace {
     fn drop(&mut self) {
         let Some(turn) = self.turn.take() else { return };
         let folder = std::mem::take(&mut self.folder);
-        // A daemon that stops has no threads for it any more; the next start empties the place.
+        // A daemon that stops has no threads for this any more; the next start empties the place.
         if tokio::runtime::Handle::try_current().is_ok() {
             drop(crate::task::blocking(move || remove(&folder, turn)));
         }

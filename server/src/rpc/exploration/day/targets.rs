@@ -59,7 +59,8 @@ impl Day<'_> {
         }
     }
 
-    /// The expected information of locations. `rows` has their states one after the other.
+    /// The expected information of locations. `rows` has the probabilities of their states, in the order of the
+    /// locations.
     async fn location_gains(&self, locations: Locations, rows: &[Vec<f64>]) -> Result<(Vec<String>, Gains), RpcError> {
         let counts: Vec<usize> = locations.members.iter().map(Vec::len).collect();
         let asked = (locations.members.into_iter().flatten().collect(), self.middles.as_slice());
@@ -128,14 +129,15 @@ impl Day<'_> {
     }
 }
 
-/// Why the robot cannot make a tour in any slot; `None` if it can, or if there is nothing to learn at some time.
+/// The reason why the robot cannot make a tour in any slot; `None` if it can, or if there is nothing to learn at some
+/// time.
 fn never_possible(tours: &[Tour]) -> Option<NoTour> {
     let is_impossible = |tour: &Tour| tour.no_tour.is_some_and(|reason| reason != NoTour::NothingToLearn);
     tours.first().filter(|_| tours.iter().all(is_impossible))?.no_tour
 }
 
-/// The expected information of each location in each slot. `rows` has the information of their states, one after the
-/// other.
+/// The expected information of each location in each slot. `rows` has the information of the states of the locations,
+/// in the order of the locations.
 fn gains(rows: &[Vec<f64>], counts: &[usize], slots: usize) -> Result<Gains, DayError> {
     let mut begin = 0;
     let of_location: Vec<&[Vec<f64>]> = counts

@@ -1,7 +1,7 @@
 //! Many reads with tokens, while the writer changes and followers lag: no reply shows less than its token.
 //!
-//! Each event of the log adds one state, so that the number of states says what a reply shows, whatever it says of
-//! itself. `TIDEMAP_TOKEN_READS` is the number of reads.
+//! Each event of the log adds one state, so that the number of states shows what a reply contains, whatever its token
+//! is. `TIDEMAP_TOKEN_READS` is the number of reads.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -18,7 +18,7 @@ const READERS: usize = 40;
 /// A log in memory: one member may append.
 struct CommonLog(Mutex<(Vec<Event>, &'static str)>);
 
-/// The log, as a member appends to it.
+/// The log as one member uses it to append.
 struct LogOfMember {
     log: Arc<CommonLog>,
     member: &'static str,
@@ -29,7 +29,7 @@ impl CommonLog {
         self.0.lock().expect("not poisoned").0.len() as u64
     }
 
-    /// From now on only this member may append; gives where the log ended then.
+    /// From now on only this member may append; returns the end of the log at this moment.
     fn give_to(&self, member: &'static str) -> u64 {
         let mut state = self.0.lock().expect("not poisoned");
         state.1 = member;
@@ -109,7 +109,7 @@ impl Members {
         *highest = highest.max(token);
     }
 
-    /// Tells a follower what the log has up to a position.
+    /// Passes the events of the log up to a log position to a follower.
     async fn feed(&self, index: usize, fed: &mut u64, last: u64) {
         let events = self.log.between(*fed, last);
         let (applied, is_applied) = oneshot::channel();
@@ -118,7 +118,7 @@ impl Members {
         *fed = last;
     }
 
-    /// Feeds followers late, and lets another member write now and then. The old writer may hear of it late.
+    /// Feeds followers late, and lets another member write now and then. The old writer may notice it late.
     async fn disturb(&self, seed: u64) {
         let mut random = SmallRng::seed_from_u64(seed);
         let (mut fed, mut stalled, mut writer, mut epoch) = ([0; 3], [Instant::now(); 3], 0, 1);
@@ -129,7 +129,7 @@ impl Members {
                     continue;
                 }
                 if random.random_bool(0.008) {
-                    // Longer than a request waits.
+                    // This is longer than a request waits.
                     stalled[index] = Instant::now() + Duration::from_millis(random.random_range(50..400));
                 }
                 let last = random.random_range(fed[index]..=self.log.end());
@@ -159,14 +159,14 @@ impl Members {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(random.random_range(1..15))).await;
-            // One that is refused is added under another name.
+            // A state that is refused is added under another name.
             if let Ok(added) = self.members[random.random_range(0..3)].add_state(&format!("state-{number}")).await {
                 self.saw(shown(added.metadata()));
             }
         }
     }
 
-    /// Reads from any member until so many replies have come in all, each held against its token.
+    /// Reads from any member until all readers together have this many replies. Each reply is compared with its token.
     async fn read(&self, seed: u64, tally: &Tally, reads: u64) -> Result<(), String> {
         let mut random = SmallRng::seed_from_u64(seed);
         let mut clients = Vec::new();
@@ -202,16 +202,17 @@ impl Members {
     }
 }
 
-/// What the reads of all have met.
+/// The outcomes of all reads.
 #[derive(Debug, Default)]
 struct Tally {
     answered: AtomicU64,
-    /// Answered although the member was behind the token when it was asked.
+    /// The number of answers of members that were behind the token when they received the request.
     behind: AtomicU64,
     refused: AtomicU64,
 }
 
-/// The oracle: views go only forward under a token. Gives what was tried, or the first reply that shows less.
+/// The oracle: views go only forward under a token. Returns the counts of the reads, or the first reply that shows
+/// less.
 async fn views_go_only_forward(is_deaf: bool, reads: u64) -> Result<Arc<Tally>, String> {
     let members = Members::start(is_deaf).await;
     let tally = Arc::new(Tally::default());

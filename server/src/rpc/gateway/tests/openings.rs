@@ -1,4 +1,4 @@
-//! A map that daemons share, while it shows what the index publishes and is not open yet.
+//! A map that daemons share, while it shows the generation that the index publishes and is not open yet.
 
 use tidemap_map::{
     event::{Event, NewState, StateKind, UpdateCause, UpdateStart},
@@ -45,7 +45,7 @@ async fn opening_and_writer() -> (Member, Vec<UnopenedMap>, Member) {
 }
 
 impl Member {
-    /// What a prediction of the door says that it shows.
+    /// The token that the reply of a prediction of the door contains.
     async fn predict(&self, allows_stale: bool, at_least: Option<ReadToken>) -> Result<ReadToken, Status> {
         let mut request = tonic::Request::new(v1::PredictStatesRequest {
             map: "office".to_owned(),

@@ -1,4 +1,4 @@
-//! Requests for the writer.
+//! Tests of requests for the writer.
 
 use super::*;
 

@@ -19,7 +19,7 @@ struct Robot {
 }
 
 impl Robot {
-    /// Opens a stream, and waits for its head before it says hello.
+    /// Opens a stream, and waits for its head before the robot sends its hello.
     async fn connect(member: &Member) -> Self {
         let (requests, outgoing) = mpsc::channel(64);
         let mut client = ObservationServiceClient::new(member.channel().await);
@@ -57,7 +57,7 @@ impl Robot {
         self.say(Up::Batch(v1::ObservationBatch { first_sequence: first, observations: Some(columns) })).await;
     }
 
-    /// Waits until this number is acknowledged; gives the position.
+    /// Waits until this number is acknowledged; returns the log position.
     async fn acknowledged(&mut self, sequence: u64) -> u64 {
         loop {
             match self.reply().await.expect("the stream goes on") {
@@ -88,7 +88,7 @@ async fn observations_through_another_daemon_are_taken_exactly_once() {
     }
     robot.acknowledged(ALL / 2).await;
     drop(robot);
-    // The robot does not know what was acknowledged, and sends some again.
+    // The robot does not know which numbers were acknowledged, and sends some again.
     let (mut robot, welcome) = Robot::hello(&a, welcome.incarnation).await.expect("welcome");
     assert_eq!(welcome.durable_sequence, ALL / 2);
     let from = ALL / 2 - 2 * BATCH + 1;
@@ -131,7 +131,7 @@ async fn a_stream_that_is_passed_on_ends_with_a_status() {
         }
     };
     assert_eq!(reason(&ended), (Code::Unavailable, "NOT_WRITER".to_owned()));
-    // Each takes the other for the writer.
+    // Each member takes the other for the writer.
     let refused = Robot::hello(&a, 0).await.map(|_| ()).expect_err("passed on once");
     assert_eq!(reason(&refused), (Code::Unavailable, "NOT_WRITER".to_owned()));
 

@@ -1,4 +1,4 @@
-//! Callers with tokens: which maps they hear of, and where their tokens go.
+//! Callers with tokens: which maps they can see, and where their tokens go.
 
 use std::{io::Write as _, os::unix::fs::OpenOptionsExt as _};
 
@@ -8,7 +8,7 @@ use crate::access::keyring::Keyring;
 /// A token for the map `lab` alone.
 const TOKEN: &str = "tm_0a_secret";
 
-/// A daemon that asks for tokens.
+/// A daemon that requires tokens.
 async fn member(name: &str) -> Member {
     let dir = tempfile::tempdir().expect("temporary folder");
     let hash = ring::digest::digest(&ring::digest::SHA256, TOKEN.as_bytes());
@@ -21,7 +21,7 @@ async fn member(name: &str) -> Member {
 }
 
 impl Member {
-    /// What is said to the holder of the token who lists the states of a map.
+    /// The error for the holder of the token who lists the states of a map.
     async fn refusal(&self, map: &str) -> Status {
         let mut request = tonic::Request::new(v1::ListStatesRequest { map: map.to_owned(), ..Default::default() });
         request.metadata_mut().insert("authorization", format!("Bearer {TOKEN}").parse().expect("a value"));
@@ -44,7 +44,7 @@ async fn a_token_for_other_maps_does_not_hear_how_a_map_is_doing() {
 async fn a_token_does_not_go_over_a_network_without_tls() {
     let a = member("a").await;
     a.known.writers.lock().expect("not poisoned").insert("lab".to_owned(), "b".to_owned());
-    // Of an address that nobody has: a daemon that tried it would say that it does not answer.
+    // The address belongs to nobody: a daemon that tried it would report that it does not answer.
     for (address, words) in [
         ("http://192.0.2.1:7435", "a token is not sent to http://192.0.2.1:7435 without TLS"),
         ("HTTP://192.0.2.1:7435", "a token is not sent"),

@@ -1,4 +1,4 @@
-//! Questions: fresh enough, and never less than their client has seen.
+//! Queries that are fresh enough, and never show less than their client has seen.
 
 use tidemap_map::event::{Event, NewState, StateKind};
 use tidemap_map::{ids::StateId, name::StateName};
@@ -7,7 +7,7 @@ use tokio::sync::oneshot;
 use super::*;
 
 impl Member {
-    /// Events that another daemon has written: states with these names, from this position on.
+    /// Applies events that another daemon has written: states with these names, from this log position on.
     async fn follow(&self, position: u64, names: &[&str]) {
         let event = |(number, name): (u64, &&str)| {
             let state = NewState {
@@ -60,7 +60,7 @@ async fn a_follower_that_is_behind_waits_for_what_its_client_has_seen() {
         tokio::time::sleep(Duration::from_millis(20)).await;
         a.follow(1, &["door"]).await;
     });
-    // The writer has no states: it would not have said this.
+    // The writer has no states: it would not have answered this.
     assert_eq!(answer.expect("an answer").0, ["door"]);
 }
 

@@ -1,7 +1,7 @@
 //! `FindAnomalies` of a categorical state: observed labels whose predicted share was small.
 //!
 //! Invariant: the labels of an observation have its time, and come in the order of their states; so the n-th reading of
-//! each label is of the n-th observation.
+//! each label belongs to the n-th observation.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ use crate::{
     },
 };
 
-/// A label with its readings and what judges them.
+/// A label with its readings and its judge.
 struct JudgedLabel {
     name: String,
     judge: Judge,
@@ -71,7 +71,7 @@ pub(super) async fn find_anomalies(
     }))
 }
 
-/// The unexpected ones of some observations.
+/// The unexpected labels of some observations.
 fn unexpected(
     view: &MapView,
     labels: &[JudgedLabel],

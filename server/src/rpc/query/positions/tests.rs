@@ -1,4 +1,4 @@
-//! Regions and cells of requests.
+//! Tests of the regions and cells of requests.
 
 use super::*;
 

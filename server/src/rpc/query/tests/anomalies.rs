@@ -70,7 +70,7 @@ async fn anomalies_are_the_readings_that_predictions_of_their_times_contradict()
     robot.observe(&bench, &readings[..5500]).await;
     bench.robot("s").await.show(&bench, &minutes(1000)).await;
     bench.update().await;
-    // Some are pending: they are judged, too.
+    // Some observations are pending: they are judged, too.
     robot.observe(&bench, &readings[5500..]).await;
     let all = (NOON, NOON + 6000 * 20 * MINUTE);
     let part = (NOON + 777 * 20 * MINUTE, NOON + 5800 * 20 * MINUTE);
@@ -90,7 +90,7 @@ async fn anomalies_are_the_readings_that_predictions_of_their_times_contradict()
     let found = bench.find(v1::FindAnomaliesRequest { confidence: Some(0.8), ..about("door", all) }).await;
     let found = found.expect("an answer").len();
     assert!((20..400).contains(&found), "{found} of 6000: the exceptions, and not much else");
-    // Confidence and model by default.
+    // Confidence and model have their defaults.
     assert_eq!(
         bench.find(about("door", all)).await.expect("an answer"),
         bench.naive("door", all, 0.99, ModelKind::Auto).await
@@ -181,7 +181,8 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
     let only =
         v1::WatchAnomaliesRequest { states: vec!["door".to_owned()], confidence: Some(1.0), ..Default::default() };
     let mut only = bench.watch(only).await.expect("accepted");
-    // In the order of arrival; the last one's time is decades ahead of the clock, and it waits to be learned.
+    // Anomalies come in the order of arrival. The time of the last one is decades after the clock, and it waits to be
+    // learned.
     let ahead = NOON + 100 * 365 * 24 * HOUR;
     robot.observe(&bench, &[(LATER + 1, 1.0), (LATER, 0.0), (LATER - HOUR, 0.4), (LATER, 0.5), (ahead, 0.0)]).await;
     let expected: Vec<_> = [(LATER, 0.0), (LATER - HOUR, 0.4), (ahead, 0.0)]
@@ -212,7 +213,8 @@ async fn a_watcher_hears_of_cells_what_is_found_later() {
     let mut robot = bench.robot("s").await;
     robot.show(&bench, &minutes(1000)).await;
     bench.update().await;
-    // One cell by name, and a box that reaches into a tile that was never seen. Cell 2 changes, and is never certain.
+    // The request selects one cell by name, and a box that reaches into a tile that was never seen. Cell 2 changes, and
+    // is never certain.
     let request = v1::WatchAnomaliesRequest {
         states: vec!["cell/0/0/0".to_owned()],
         region: Some(v1::CellBox { min_x: 1, max_x: 12, max_y: 1, max_z: 1, ..Default::default() }),
@@ -279,7 +281,7 @@ async fn each_observation_is_judged_by_the_models_in_force_when_it_comes() {
         predictions[0] == 1.0 && predictions[1] < predictions[0] && predictions[2] < predictions[1],
         "each update has learned of one: {predictions:?}"
     );
-    // A slow reader gets the same.
+    // A slow reader receives the same replies.
     for (round, in_force) in (0..3).zip(predictions) {
         let reply = late.next().await.expect("a reply").expect("well");
         assert_eq!(rows(reply), [("door".to_owned(), LATER + round, 0.0, in_force)]);
@@ -341,7 +343,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
         both.extend(rows(all.next().await.expect("a reply").expect("well")));
     }
     assert_eq!(both, [counted[0].clone(), ("door".to_owned(), LATER, 0.0, 1.0)]);
-    // The past gives the same, until an update has learned it.
+    // A query of the past returns the same until an update has learned the observations.
     let found = bench.find(about("people", (0, i64::MAX))).await.expect("kept");
     assert_eq!(found, [(at + 1, 40.0, tail)]);
     let lenient = v1::FindAnomaliesRequest { confidence: Some(0.9), ..about("people", (0, i64::MAX)) };
@@ -358,7 +360,7 @@ async fn a_watch_ends_with_its_map_and_its_place_is_free_again() {
     let mut second = bench.watch(request()).await.expect("accepted");
     let words = ["2 are in use", "setting max_watches:"];
     check_refused(bench.watch(request()).await.map(drop), Code::ResourceExhausted, &words);
-    // One leaves silently, and nothing has arrived meanwhile.
+    // One watcher leaves without a message, and nothing has arrived meanwhile.
     drop(first);
     let mut third = loop {
         match bench.watch(request()).await {
@@ -381,7 +383,7 @@ async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed()
     let mut slow = bench.watch(v1::WatchAnomaliesRequest::default()).await.expect("accepted");
     let count = 200;
     for i in 0..count {
-        // Acknowledged one by one, whether anybody reads or not.
+        // The observations are acknowledged one by one, whether anybody reads or not.
         robot.observe(&bench, &[(LATER + i, 0.0), (LATER + i, 1.0)]).await;
     }
     let (mut reported, mut missed) = (Vec::new(), 0);
@@ -392,7 +394,7 @@ async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed()
     }
     assert!(missed > 0 && reported.len() > 60 && reported.is_sorted(), "{missed} missed, {reported:?}");
     assert!(reported.starts_with(&[0, 1, 2]) && reported.ends_with(&[count - 1]), "the oldest are lost: {reported:?}");
-    // It reads from now on.
+    // The watcher reads from now on.
     robot.observe(&bench, &[(LATER, 0.0)]).await;
     let reply = slow.next().await.expect("a reply").expect("well");
     assert_eq!((reply.missed_observations, rows(reply).len()), (0, 1));

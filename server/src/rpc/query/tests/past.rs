@@ -1,4 +1,4 @@
-//! The observations of the past, wherever they are kept.
+//! Tests of the observations of the past, wherever they are kept.
 
 use super::*;
 
@@ -26,7 +26,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
     let (door, scans) = (door(4000), minutes(4000));
     let mut robot = bench.robot("r").await;
     let mut scanner = bench.robot("s").await;
-    // Some in the store, some learned and not saved, some pending.
+    // Some observations are in the store, some are learned and not saved, some are pending.
     for part in 0..4 {
         robot.observe(&bench, &door[part * 1000..(part + 1) * 1000]).await;
         scanner.show(&bench, &scans[part * 1000..(part + 1) * 1000]).await;
@@ -38,7 +38,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
                 check(bench.past(&name, 0, i64::MAX).await, &expected(so_far, cell));
             }
             if part < 3 && !after_update {
-                // Asked while the update has the observations, or just before or after that.
+                // The request comes while the update has the observations, or just before or after that.
                 let (past, ()) = tokio::join!(bench.past("door", 0, i64::MAX), bench.update());
                 check(past, &door[..so_far]);
             }

@@ -1,4 +1,4 @@
-//! What was unusual: pending, and learned.
+//! Tests of surprises: pending and learned.
 
 use super::*;
 
@@ -9,7 +9,7 @@ fn usual(slots: std::ops::Range<i64>) -> Vec<(i64, f64)> {
 
 impl Bench {
     async fn surprises(&self, request: v1::ListSurprisesRequest) -> Result<v1::ListSurprisesResponse, Status> {
-        // After the days in which the rhythm was learned.
+        // The interval begins after the days in which the rhythm was learned.
         let (from_time, to_time) = (Some(timestamp(NOON + 27 * 48 * 30 * MINUTE)), Some(timestamp(i64::MAX)));
         let confidence = request.confidence.or(Some(0.9));
         let request = v1::ListSurprisesRequest { map: "office".to_owned(), from_time, to_time, confidence, ..request };
@@ -29,7 +29,7 @@ async fn an_observation_is_as_surprising_after_it_was_learned_as_before() {
     robot.observe(&bench, &usual(0..48 * 28)).await;
     bench.update().await;
     assert_eq!(bench.all().await, [], "a rhythm that is learned is no surprise");
-    // Of the next local day, which begins half a day after noon: all of it is of one day.
+    // These observations are of the next local day, which begins half a day after noon: all of them are of one day.
     let mut night = usual(48 * 28 - 24 + 48..48 * 28 - 24 + 60);
     for (_, value) in &mut night {
         *value = 1.0 - *value;
@@ -42,7 +42,7 @@ async fn an_observation_is_as_surprising_after_it_was_learned_as_before() {
     let [run] = &pending[..] else { panic!("one run: {pending:?}") };
     assert_eq!((run.state.as_str(), run.observations, run.above), ("door", 12, night[0].1 == 1.0));
     assert_eq!((run.first_time, run.last_time), (Some(timestamp(times[0])), Some(timestamp(times[11]))));
-    // What predictions said of these times: the least likely, and all half-hours together.
+    // The surprise has the predictions of these times: the least likely one, and all half-hours together.
     let observed = |p: &f64| if run.above { *p } else { 1.0 - p };
     let least = expected.iter().map(observed).fold(1.0, f64::min);
     assert!((observed(&run.probability) - least).abs() < 1e-12, "{} {least}", run.probability);
@@ -50,7 +50,7 @@ async fn an_observation_is_as_surprising_after_it_was_learned_as_before() {
     assert!((run.bits - bits).abs() < 1e-9, "{} {bits}", run.bits);
     bench.update().await;
     assert_eq!(bench.all().await, pending);
-    // And in a map that is restored.
+    // A restored map returns the same.
     let bench = bench.again(dir.path()).await;
     assert_eq!(bench.all().await, pending);
 }

@@ -1,4 +1,4 @@
-//! Models that are trained on request: on which readings, shared by whom, and errors.
+//! Tests of models that are trained on request: their readings, shared trainings, and errors.
 
 use tidemap_model::{
     Sample,
@@ -70,7 +70,8 @@ async fn a_model_is_trained_on_what_updates_have_folded_in_wherever_that_is() {
             assert_eq!(found, expected(&bench, &known, &times), "after {} hours", hours.start);
             before = found.to_vec();
         }
-        // Asked just before, during or just after the update learns the rest: one or the other, never a mixture.
+        // The request comes just before, during or just after the update learns the rest: the answer is one or the
+        // other, never a mixture.
         let (found, ()) = tokio::join!(bench.ask(HISTOGRAM, &times), bench.update());
         let after = expected(&bench, &door(0..hours.end), &times);
         let found = found.expect("an answer");
@@ -78,7 +79,7 @@ async fn a_model_is_trained_on_what_updates_have_folded_in_wherever_that_is() {
         assert!(unlearned || before.first() == Some(&found) || found == after[0], "{found:?}");
         assert_ne!(before, after.to_vec());
         if part == 1 {
-            // From files from now on, and equal to the last bit.
+            // The readings come from files from now on, and the predictions are equal to the last bit.
             bench = bench.again(dir.path()).await;
             robot = bench.robot("r2").await;
             let models = [bench.ask(HISTOGRAM, &times).await, bench.ask(ModelKind::Calibrated, &times).await];
@@ -204,7 +205,7 @@ async fn a_cell_has_the_models_of_a_state_that_does_the_same() {
         assert!(unlearned.iter().all(|run| run.probabilities == [0.5; 50]), "{kind}");
     }
     bench.update().await;
-    // From memory, then from files.
+    // The readings come from memory, then from files.
     for restarted in [false, true] {
         if restarted {
             bench = bench.again(dir.path()).await;
