@@ -1,6 +1,6 @@
-//! An engine that asks again where a call was not available: a busy machine may elect a new leader at any time.
+//! An engine that repeats a call while the engine is unavailable: a busy machine may elect a new leader at any time.
 //!
-//! Invariant: repeats only what had no effect.
+//! Invariant: repeats only calls that had no effect.
 
 use std::{future::Future, time::Duration};
 
