@@ -138,7 +138,7 @@ pub(crate) struct Catalog {
     max_maps: usize,
     maps: Arc<ArcSwap<ByName>>,
     unavailable: Arc<ArcSwap<Vec<UnavailableMap>>>,
-    // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
+    // The lock allows one change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
     /// Ends the restoring of maps.
     pub(crate) is_stopping: Arc<AtomicBool>,
@@ -248,7 +248,7 @@ impl Catalog {
     fn check_available(&self, name: &str) -> Result<(), CatalogError> {
         match self.unavailable.load().iter().find(|map| map.name == name) {
             Some(map) => Err(CatalogError::Unavailable { map: map.name.clone(), reason: map.reason.clone() }),
-            // It is not known whether there was a map of this name.
+            // Whether there was a map of this name is not known.
             None => match self.context.store.lost_map_list() {
                 Some(lost) => Err(CatalogError::Unavailable { map: shortened(name), reason: lost.to_string() }),
                 None => Ok(()),
@@ -302,6 +302,9 @@ impl Catalog {
     }
 
     /// Holds a map of the cluster, which other daemons may hold already.
+    ///
+    /// # Errors
+    /// See [`CatalogError`].
     pub(crate) async fn adopt(&self, spec: MapSpec, uid: u64) -> Result<(), CatalogError> {
         let this = self.clone();
         ended(crate::task::spawn(async move {

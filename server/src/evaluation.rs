@@ -63,8 +63,8 @@ struct ErrorSums {
     errors: Vec<Evaluation>,
 }
 
-/// Another part of a state with its answer sources: the sine of an angle, whose state is its cosine, or a label after
-/// the first.
+/// Another part of a state with its prediction sources: the sine of an angle, whose state is its cosine, or a label
+/// after the first.
 #[derive(Clone, Debug)]
 pub(crate) struct OtherPart {
     /// The state.
@@ -98,7 +98,7 @@ impl Evaluator {
         kinds.into_iter()
     }
 
-    /// An answer source without a model, for this reason.
+    /// A prediction source without a model, for this reason.
     pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
         AnswerSource::Nothing(known.unwrap_or_else(|| {
@@ -123,7 +123,7 @@ impl Evaluator {
         }
     }
 
-    /// Adds observations of a state that has begun; `trained` has one answer source for each of
+    /// Adds observations of a state that has begun; `trained` has one prediction source for each of
     /// [`Evaluator::kinds_to_train`]. `others`: the sine of an angle, or all labels but the first, where the
     /// observations are angles or numbers of labels.
     ///
@@ -249,7 +249,7 @@ fn add_block(sum: &mut Evaluation, compared: Compared, block: &[Sample], predict
     }
 }
 
-/// The answer source of each row, from the sources of the rows that are trained on readings.
+/// The prediction source of each row, from the sources of the rows that are trained on readings.
 fn by_row(rows: &[ModelSelector], trained: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
     let mut trained = trained.into_iter();
     rows.iter().map(|row| if row.kind.needs_readings() { trained.next() } else { None }).collect()

@@ -113,7 +113,7 @@ pub(crate) enum Bound {
 pub(crate) struct ShareFull {
     /// The share.
     pub share: Share,
-    /// Whose bound is reached.
+    /// The holder whose bound is reached.
     pub bound: Bound,
     /// The bound.
     pub max: usize,

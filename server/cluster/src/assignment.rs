@@ -24,7 +24,7 @@ fn mix(number: u64) -> u64 {
 /// capacities (Thaler and Ravishankar 1998; weighted as by Schindelhauer and Schomaker 2005).
 fn score(map: u64, candidate: &Candidate) -> f64 {
     let hash = candidate.name.bytes().fold(mix(map), |hash, byte| mix(hash ^ u64::from(byte)));
-    // In (0, 1).
+    // The number is in (0, 1).
     let uniform = ((hash >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
     f64::from(candidate.capacity) / -uniform.ln()
 }

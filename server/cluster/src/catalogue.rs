@@ -81,7 +81,7 @@ pub async fn cluster_id<E: Engine>(engine: &E, proposed: &str) -> Result<String,
 }
 
 /// The secret by which the daemons of the cluster authenticate each other. The first daemon that calls this creates it.
-/// Whoever can read it can read the logs of the maps as well.
+/// A program that can read this secret can also read the logs of the maps.
 ///
 /// # Errors
 /// [`EngineError`].

@@ -18,15 +18,15 @@ use tokio::{
 
 use crate::engine::{AppendIfError, Engine, EngineError};
 
-/// How long one append may take.
+/// Time limit of one append.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Pause after an error that may pass.
 const PAUSE: Duration = Duration::from_millis(50);
-/// How often the stream's deletion is tried.
+/// Number of attempts to delete the stream.
 const DELETIONS: usize = 3;
 /// Bytes that are read at once.
 const READ_BYTES: usize = 1 << 20;
-/// How long the messages may take to be read again: a new leader may have to be elected.
+/// Time limit for reading the messages again: a new leader may have to be elected.
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
 /// Settings of a race.
@@ -36,7 +36,7 @@ pub struct RaceTerms {
     pub stream: String,
     /// Servers that hold it.
     pub replicas: usize,
-    /// How long the writers append.
+    /// Time for which the writers append.
     pub lasts: Duration,
 }
 
@@ -47,7 +47,7 @@ pub struct RaceOutcome {
     pub acknowledged: u64,
     /// Appends that were refused, because another writer was first.
     pub refused: u64,
-    /// Appends without an answer. They may be in the stream.
+    /// Appends without a reply. They may be in the stream.
     pub unanswered: u64,
     /// Positions that the engine gave to two writers: it acknowledged to both that their message follows the same
     /// message, or has the same number.

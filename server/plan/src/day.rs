@@ -90,7 +90,7 @@ impl DaySlots {
     /// The slot in which a moment lies; `None` outside the day.
     pub fn slot_at(&self, utc_nanos: i64) -> Option<usize> {
         let is_inside = (self.from_nanos..self.until_nanos).contains(&utc_nanos);
-        // At least 0, and at most the count.
+        // The result is at least 0, and at most the count.
         is_inside.then(|| ((utc_nanos - self.from_nanos) / self.slot_nanos) as usize)
     }
 }

@@ -131,9 +131,9 @@ impl Default for RouteOptions {
 /// The certainty that no route is better, the most certain first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Certainty {
-    /// It is proven.
+    /// The result is proven to be the best.
     Proven,
-    /// It is proven, except for paths that arrive within one second and count as arriving together.
+    /// The result is proven, except for paths that arrive within one second and count as arriving together.
     WithinResolution,
     /// Paths were pruned by sampled bounds.
     Sampled,

@@ -65,7 +65,7 @@ impl DayTask {
 /// The value of a task.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TaskValue {
-    /// The same value at all times; at least 0.
+    /// A constant value; at least 0.
     Fixed(f64),
     /// A value by the slot in which the task begins; one number per slot, at least 0.
     BySlot(Vec<f64>),

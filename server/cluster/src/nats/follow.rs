@@ -34,13 +34,13 @@ const PULLED_BYTES_MAX: usize = 4 << 20;
 /// Messages of one pull.
 const PULLED_MESSAGES_MAX: usize = 256;
 
-/// How long the server keeps a consumer that nobody reads.
+/// Time for which the server keeps a consumer that nobody reads.
 const LINGERS: Duration = Duration::from_secs(30);
 
 /// Interval of the server's heartbeats for a consumer; without two of them the consumer is given up.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
-/// How long a pull waits for messages.
+/// Time for which a pull waits for messages.
 const EXPIRES: Duration = Duration::from_secs(20);
 
 /// Pause before a call makes a consumer again, so that its caller does not repeat this without pause.

@@ -23,7 +23,7 @@ use crate::engine::{Bucket, EngineError, KeyEntry, SetError};
 /// The header that marks a deleted key.
 const OPERATION: &str = "KV-Operation";
 
-/// Time for which the consumer of a list remains where its deletion is lost.
+/// Time for which the consumer of a list remains if the deletion of the consumer is lost.
 const LIST_LINGERS: Duration = Duration::from_secs(5);
 /// Pause after a request that a consumer has ended early.
 const ASK_AGAIN: Duration = Duration::from_millis(50);

@@ -105,7 +105,7 @@ async fn one_server_behaves_as_an_engine_and_is_checked() {
     let unsynced = NatsCheckError::NotSynced { server: "nats-0".to_owned() };
     assert_eq!(check(&engine, true).await, Err(unsynced));
     assert_eq!(check(&engine, false).await.expect("allowed").len(), 1);
-    // One server cannot hold three replicas.
+    // A single server cannot hold three replicas.
     let outcome = engine.create_stream("tm_three", 3).await;
     assert!(matches!(outcome, Err(EngineError::Refused(_))), "{outcome:?}");
     let outcome = engine.set(Bucket::Maps, "no key", bytes("1")).await;

@@ -119,7 +119,7 @@ impl<E: Engine> Driver<E> {
                     return;
                 }
                 Next::Stop => {
-                    // Not fatal: the log is sound, and another daemon may write it.
+                    // This is not fatal: the log is sound, and another daemon may write it.
                     self.shared.close(&AppendError::NotWriter { writer: None });
                     return;
                 }

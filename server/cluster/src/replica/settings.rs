@@ -21,7 +21,7 @@ pub struct ReplicaSettings {
     pub maths: u32,
     /// Number of servers of the engine that hold the stream, where it has to be created again.
     pub engine_replicas: usize,
-    /// How long a lease lasts without renewal.
+    /// Duration of a lease without renewal.
     pub lease: Duration,
     /// Time for which a new writer waits for a daemon whose report shows a longer log.
     pub heal_wait: Duration,

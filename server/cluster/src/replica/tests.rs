@@ -204,7 +204,7 @@ impl World {
         self.start(index);
     }
 
-    /// Shortens the stream to the records that two daemons do not both have, as the writer does.
+    /// Removes from the stream the records that two daemons have, as the writer does.
     async fn shorten(&self) {
         let daemons = self.machines.iter().filter_map(|machine| Some((machine.name.clone(), machine.daemon.as_ref()?)));
         let mut ends: Vec<u64> = daemons.clone().map(|(_, daemon)| daemon.end().position).collect();

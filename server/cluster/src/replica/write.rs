@@ -89,7 +89,7 @@ impl<E: Engine> Driver<E> {
             let log = self.shared.log.clone();
             let next = match self.on_disk(move || log.write(events)).await {
                 Ok(written) => self.commit(written).await,
-                // They wait for the undo of the map's thread, or nothing was left to write.
+                // The appends wait for the undo of the map's thread, or nothing was left to write.
                 Err(AppendError::AfterFailure) => None,
                 Err(error) => {
                     self.trouble(Some(format!("another daemon takes this one's place: {error}")));

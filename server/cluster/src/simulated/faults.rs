@@ -45,7 +45,7 @@ impl EngineFault {
     ];
 }
 
-/// How often faults occur, as probabilities of a call, and how long they last.
+/// The frequency of faults, as probabilities of a call, and their duration.
 #[derive(Clone, Debug)]
 pub struct EngineFaults {
     /// Time for which a request is under way, and also its reply. A wide range lets concurrent calls overtake each

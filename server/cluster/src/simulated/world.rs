@@ -48,7 +48,7 @@ pub struct PlantedDefects {
     pub useless_leases: bool,
 }
 
-/// What happens to a request and its reply.
+/// The way of a request and its reply.
 pub(super) struct UnderWay {
     /// Time for which the request is under way; `None`: it never arrives.
     pub(super) out: Option<Duration>,

@@ -1,4 +1,6 @@
 //! The errors of route planning, and the check of a request.
+//!
+//! Invariant: each message names the invalid value and the valid range.
 
 use super::{ALTERNATIVES_MAX, DEPARTURES_MAX, ForecastError, Objective, RouteOptions, TIME_MAX_SECS, When};
 

@@ -128,7 +128,7 @@ impl Iterator for RestBounds<'_> {
     }
 }
 
-/// For few goals: a table of all sets.
+/// The search for few goals: a table of all sets.
 fn table(SortedProblem { problem, passing, machine }: SortedProblem<'_>, known: f64) -> Proof {
     let count = problem.count;
     let sets = 1_usize << count;
@@ -197,7 +197,7 @@ struct SearchState {
     bound: f64,
 }
 
-/// For more goals: only the states that may lead to a better walk, by size of the set.
+/// The search for more goals: only the states that may lead to a better walk, by size of the set.
 struct Layers<'a> {
     search: SortedProblem<'a>,
     paths: Option<&'a Paths>,

@@ -49,7 +49,7 @@ impl Machine {
         Machine { leaving, arriving, order, root }
     }
 
-    /// The same shares, for the search after [`SearchProblem::reordered`] by [`Machine::order`].
+    /// These shares, for the search after [`SearchProblem::reordered`] by [`Machine::order`].
     pub(super) fn sorted(&self) -> Machine {
         Machine {
             leaving: self.order.iter().map(|&goal| self.leaving[goal]).collect(),

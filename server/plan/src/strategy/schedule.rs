@@ -54,8 +54,8 @@ pub fn schedule(
     Ok(visits_of_slots)
 }
 
-/// The weight of no visit, w, for which the expected number of visits is the ratio times the slots: the root of Σ S/(S
-/// + w) = e·m over the m slots, S is the sum of a slot's gains, each plus ι. `ratio` is above 0.
+/// The weight of no visit, w, for which the expected number of visits is the ratio times the slots: the root of
+/// Σ S/(S + w) = e·m over the m slots, where S is the sum of a slot's gains, each plus ι. `ratio` is above 0.
 fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
     /// Halvings of the bracket: below the resolution of f64.
     const STEPS: usize = 64;

@@ -101,7 +101,7 @@ impl Search<'_, '_, '_> {
         let count = order.tasks.len();
         for from in 0..count {
             for to in 0..count {
-                // Exchanging two neighbours is one move, not two.
+                // The exchange of two neighbours is tried only once.
                 if from == to || from == to + 1 {
                     continue;
                 }

@@ -15,7 +15,7 @@ use crate::{
 
 /// An opaque cell.
 pub(super) const OPAQUE: u8 = 1;
-/// Not a cell of the region.
+/// A place that is not a cell of the region.
 pub(super) const OUTSIDE: u8 = 2;
 
 /// The options of a scene.

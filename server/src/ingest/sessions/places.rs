@@ -23,8 +23,9 @@ pub(super) struct Places {
     max: usize,
     /// Number of places that one client may add; known after the first addition.
     share: Option<usize>,
-    /// Number of places that each client has added with applied events.
+    /// Number of places that each client has taken with applied events.
     added: HashMap<String, usize>,
+    /// Number of places that each client has taken with events that are not written yet.
     in_flight: HashMap<String, usize>,
 }
 

@@ -122,7 +122,7 @@ impl Writer {
         self.ends.publish();
     }
 
-    /// As the writer: appends the result of the last update to the log, unless it is in flight.
+    /// Appends, as the writer, the result of the last update to the log, unless it is in flight.
     pub(super) fn say_update_end(&mut self) {
         let is_writer = self.follower.is_shared() && self.follower.is_writing();
         if !is_writer || self.appends.is_update_ending() || !self.updates.may_start(Instant::now()) {

@@ -11,7 +11,7 @@ use crate::engine::{
     AppendIfError, Bucket, Engine, EngineError, EngineServer, KeyEntry, Message, SetError, StreamEnds, StreamHealth,
 };
 
-/// How long an engine may be unavailable.
+/// Longest time for which an engine may be unavailable.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// An engine whose calls wait for a leader.

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// How long they contest.
+/// Duration of the contest.
 const CONTEST: Duration = Duration::from_secs(40);
 
 impl World {

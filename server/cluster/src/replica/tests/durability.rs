@@ -146,7 +146,7 @@ async fn check_disks(world: &mut World) -> Result<Tried, String> {
     Ok(tried)
 }
 
-/// How much was tried.
+/// The amount of work of a trial.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tried {
     /// Number of disk operations up to the fault.

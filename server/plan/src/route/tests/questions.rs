@@ -156,7 +156,7 @@ fn options_out_of_range_are_refused() {
 
 #[test]
 fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
-    // Node 2 can be reached from 0 through 1, or directly in the same time with less success; the edge from node 2 to
+    // Node 2 can be reached from 0 through 1, or directly in the same time with less success; the edge from node 1 to
     // the goal, 3, is good only from 25 s on.
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..4)

@@ -93,7 +93,7 @@ async fn a_restart_goes_on_with_what_an_update_left() {
     copy(&before.join("maps"), &after.join("maps"));
     std::fs::copy(before.join("MANIFEST"), after.join("MANIFEST")).expect("copied");
 
-    // As before, a first part that was not saved yet is learned again, and must not learn more.
+    // A first part that was not saved yet is learned again, and must not learn more.
     let second = bench_with(&after, NOON, |context| context.update_readings_max = 0);
     let handle = second.catalog.get("office").expect("the map");
     for _ in 0..6_000 {
