@@ -1,8 +1,8 @@
-//! Backups: where requests may put them, and those that the daemon makes by itself.
+//! Backups: the folders that requests may use, and the scheduled backups of the daemon.
 //!
-//! Invariant: where the operator has named a folder, nothing is written outside of it. A scheduled backup gets its
-//! name, which tells when it began, when it is complete; only backups with such a name, of this data folder, are ever
-//! removed.
+//! Invariant: where the operator has set a folder, nothing is written outside of it. A scheduled backup gets its name
+//! when it is complete; the name contains the time at which it began. Only backups of this data folder with such a name
+//! are ever removed.
 
 use std::{
     fs,
@@ -22,13 +22,13 @@ use crate::{catalog::Catalog, config::Settings, jobs::JobCause};
 const SCHEDULED: &str = "auto-";
 /// The name of a scheduled backup that is being made, or was cut off.
 const UNFINISHED: &str = "auto.part";
-/// The longest wait before the clock is looked at again, which may have been set meanwhile.
+/// The longest wait before the clock is read again, because it may have been set meanwhile.
 const LOOK_EVERY: Duration = Duration::from_secs(60);
 /// The longest pause after a backup that failed.
 const AGAIN_AFTER: Duration = Duration::from_secs(3600);
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
-/// Why a folder cannot be that of a backup.
+/// The reason why a folder cannot be used for a backup.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TargetError {
     #[error("{path:?} is not below {}, where backups of this daemon go: name a folder such as \"by-hand\"", .folder.display())]
@@ -45,7 +45,7 @@ pub(crate) enum TargetError {
 /// The folder of a backup that a request names: below the folder of backups, relative to it or absolute.
 ///
 /// # Errors
-/// The path leads elsewhere, by its words or by links on the disk.
+/// The path leads out of that folder, by its text or by links on the disk.
 pub(crate) fn target(folder: &Path, path: &str) -> Result<PathBuf, TargetError> {
     let outside = || TargetError::Outside { path: path.chars().take(200).collect(), folder: folder.to_owned() };
     let unusable = |source| TargetError::Folder { folder: folder.to_owned(), source };
@@ -56,7 +56,7 @@ pub(crate) fn target(folder: &Path, path: &str) -> Result<PathBuf, TargetError> 
     }
     fs::create_dir_all(folder).map_err(unusable)?;
     let real = folder.canonicalize().map_err(unusable)?;
-    // The deepest part that is there already; a link that leads nowhere is there.
+    // The deepest part that exists already; a link without a target exists.
     let present = target.ancestors().find(|part| fs::symlink_metadata(part).is_ok());
     let present = present.and_then(|part| part.canonicalize().ok());
     present.filter(|present| present.starts_with(&real)).ok_or_else(outside)?;
@@ -76,10 +76,10 @@ fn counted(folder: &Path, made: Result<BackupReport, BackupError>) -> Result<Bac
     made
 }
 
-/// Makes a backup that was asked for.
+/// Makes a backup that a request has ordered.
 ///
 /// # Errors
-/// As [`Store::backup`].
+/// The errors are those of [`Store::backup`].
 pub(crate) fn make(store: &Store, target: &Path) -> Result<BackupReport, BackupError> {
     counted(target, store.backup(target))
 }
@@ -87,18 +87,18 @@ pub(crate) fn make(store: &Store, target: &Path) -> Result<BackupReport, BackupE
 /// The name of a scheduled backup that began at a time.
 fn name_of(began_nanos: i64) -> String {
     let whole = began_nanos.div_euclid(NANOS_PER_SEC) * NANOS_PER_SEC;
-    // Without colons, which some file systems and copy programs do not take.
+    // The name has no colons, because some file systems and copy programs do not accept them.
     format!("{SCHEDULED}{}", format_rfc3339(whole).replace(':', "-"))
 }
 
-/// When the scheduled backup of a name began, in nanoseconds since 1970.
+/// The time at which the scheduled backup of this name began, in nanoseconds since 1970.
 fn began_nanos(name: &str) -> Option<i64> {
     let (date, time) = name.strip_prefix(SCHEDULED)?.split_once('T')?;
     let nanos = parse_time(&format!("{date}T{}", time.replace('-', ":"))).ok()?;
     (name_of(nanos) == name).then_some(nanos)
 }
 
-/// When backups are made, and how many are kept.
+/// The schedule of backups, and the number of backups to keep.
 #[derive(Clone, Debug)]
 pub(crate) struct Schedule {
     folder: PathBuf,
@@ -123,12 +123,13 @@ impl Schedule {
         found
     }
 
-    /// When the newest complete backup began. What is later than now is of a clock that was wrong.
+    /// The time at which the newest complete backup began. A time later than now comes from a clock that was wrong, and
+    /// is ignored.
     fn newest_nanos(&self, store_id: &str, now_nanos: i64) -> Option<i64> {
         self.complete(store_id).into_iter().map(|(began, _)| began).find(|began| *began <= now_nanos)
     }
 
-    /// Name and value of the metrics of the schedule.
+    /// Names and values of the metrics of the schedule.
     pub(crate) fn metrics(&self, store_id: &str, now_nanos: i64) -> [(&'static str, f64); 2] {
         let newest = self.newest_nanos(store_id, now_nanos);
         let age = newest.map_or(f64::INFINITY, |began| now_nanos.saturating_sub(began) as f64 / 1e9);
@@ -151,7 +152,7 @@ impl Schedule {
             let wait = Duration::from_nanos(u64::try_from(due.saturating_sub(now)).unwrap_or(0)).min(LOOK_EVERY);
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
-                // An error means that the sender is gone, which is a stop as well.
+                // An error means that the sender is gone, which is also a stop.
                 _ = stopping.wait_for(|stop| *stop) => return,
             }
             let now = clock.now_nanos();
@@ -210,7 +211,7 @@ impl Schedule {
         Ok(report)
     }
 
-    /// Prepares the folder of an unfinished backup. If an earlier backup was cut off, its files are used; else the
+    /// Prepares the folder of an unfinished backup. If an earlier backup was cut off, its files are used; otherwise the
     /// files of the newest complete backup are linked.
     fn prepare(&self, store: &Store) -> Result<PathBuf, BackupError> {
         let unfinished = self.folder.join(UNFINISHED);

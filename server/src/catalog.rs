@@ -1,14 +1,14 @@
 //! The maps that the daemon serves.
 //!
-//! At a start each map is restored from its newest checkpoint and the log after it. A map with much of both is listed
-//! at once, with the generation that the index publishes, and restored while the ports are open. The log does not say
-//! whether its last update was cut off or ended without a save: it is repeated beside the served map, so that a client
-//! may see the generation before one that it has seen. Earlier updates in the log had ended, because another followed;
-//! they are repeated before the map is open.
+//! At a start each map is restored from its newest checkpoint and the log after it. A map with large checkpoints and
+//! log is listed at once, with the generation that the index publishes, and restored while the ports are open. The log
+//! does not record whether its last update was cut off or ended without a save. This update is repeated beside the
+//! served map, so a client may see the generation before one that it has already seen. Earlier updates in the log had
+//! ended, because another one followed; they are repeated before the map is open.
 //!
 //! A map that cannot be opened is set aside: the others serve, and its files stay as they are.
 //!
-//! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
+//! Invariant: a lookup of a map never waits. Maps are created and deleted one at a time, and a listed map is durable. A
 //! change that has begun is completed even if its caller is gone.
 
 use std::{
@@ -37,7 +37,7 @@ use crate::{
 /// A map with more bytes of checkpoints and log is served from the index until it is restored.
 pub(crate) const RESTORED_FIRST_BYTES: u64 = 8 << 20;
 
-/// Why a map is not created or deleted.
+/// The reason why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CatalogError {
     #[error("map {:?} exists already", .0.as_str())]
@@ -83,7 +83,7 @@ pub(crate) enum CatalogError {
     Cluster(#[from] ClusterError),
     #[error(transparent)]
     Copy(#[from] CopyError),
-    /// A map that was to be replaced by a copy needs none any more.
+    /// A map that was to be replaced by a copy no longer needs one.
     #[error("map {0} needs no copy of another daemon's any more")]
     NoCopyNeeded(MapName),
     #[error("map {0} belongs to a cluster: start the daemon with its section [cluster]")]
@@ -95,7 +95,7 @@ pub(crate) enum CatalogError {
 }
 
 impl CatalogError {
-    /// Whether only the data of one map is at fault, and not the machine.
+    /// Whether only the data of one map has a fault, and not the machine.
     fn is_of_one_map(&self) -> bool {
         match self {
             Self::Open(error) => !error.is_shortage(),
@@ -113,7 +113,7 @@ impl CatalogError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct UnavailableMap {
     pub id: MapId,
-    /// Its name; where that is not known, its number.
+    /// Name of the map; its number where the name is not known.
     pub name: String,
     pub reason: String,
 }
@@ -138,23 +138,23 @@ pub(crate) struct Catalog {
     max_maps: usize,
     maps: Arc<ArcSwap<ByName>>,
     unavailable: Arc<ArcSwap<Vec<UnavailableMap>>>,
-    // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
+    // The lock allows one change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
     /// Ends the restoring of maps.
     pub(crate) is_stopping: Arc<AtomicBool>,
 }
 
-/// How a map comes to be.
+/// The origin of a new map.
 enum MapOrigin {
-    /// Empty, and of this daemon alone.
+    /// The map is empty, and belongs to this daemon alone.
     Alone,
-    /// Empty, and one of a cluster.
+    /// The map is empty, and belongs to a cluster.
     Shared(u64),
-    /// Of a copy of another daemon's, which is complete.
+    /// The map is made from a complete copy of another daemon's map.
     Copied(Box<MapCopy>, u64),
 }
 
-/// A map that shows what the index publishes, and that is still to be restored.
+/// A map that serves what the index publishes, and that is not restored yet.
 pub(crate) struct UnopenedMap {
     id: MapId,
     shared_uid: Option<u64>,
@@ -163,8 +163,8 @@ pub(crate) struct UnopenedMap {
 }
 
 impl Catalog {
-    /// Opens all maps of the store: those with at most `restored_first_bytes` of checkpoints and log, and those of
-    /// which the index publishes nothing, completely; the others show what the index publishes until
+    /// Opens all maps of the store. Maps with at most `restored_first_bytes` of checkpoints and log, and maps of which
+    /// the index publishes nothing, are opened completely. The others serve what the index publishes until
     /// [`Self::restore_rest`] has restored them.
     ///
     /// # Errors
@@ -203,10 +203,10 @@ impl Catalog {
         Ok((Self { context, max_maps, maps, unavailable, changing, is_stopping }, rest))
     }
 
-    /// Restores the maps that show what the index publishes, one after the other.
+    /// Restores the maps that serve what the index publishes, one after the other.
     ///
     /// # Errors
-    /// As [`Self::open`]; [`CatalogError::Stopping`].
+    /// The errors of [`Self::open`]; [`CatalogError::Stopping`].
     pub(crate) fn restore_rest(&self, rest: Vec<UnopenedMap>) -> Result<(), CatalogError> {
         for UnopenedMap { id, shared_uid, spec, endpoints } in rest {
             let tell = |done, total| {
@@ -227,7 +227,7 @@ impl Catalog {
         Ok(())
     }
 
-    /// Sets a map aside that is listed. Who waits for it learns why, if the endpoints of its writer are dropped
+    /// Sets a listed map aside. Requests that wait for it receive the reason if the endpoints of its writer are dropped
     /// afterwards.
     fn set_aside(&self, id: MapId, name: &MapName, error: &CatalogError) {
         let map = set_aside(id, name.as_str().to_owned(), error.to_string());
@@ -244,11 +244,11 @@ impl Catalog {
         self.unavailable.load_full()
     }
 
-    /// Why a map is set aside, if it is.
+    /// Returns the reason why a map is set aside, if it is.
     fn check_available(&self, name: &str) -> Result<(), CatalogError> {
         match self.unavailable.load().iter().find(|map| map.name == name) {
             Some(map) => Err(CatalogError::Unavailable { map: map.name.clone(), reason: map.reason.clone() }),
-            // Whether there was such a map is not known.
+            // Whether there was a map of this name is not known.
             None => match self.context.store.lost_map_list() {
                 Some(lost) => Err(CatalogError::Unavailable { map: shortened(name), reason: lost.to_string() }),
                 None => Ok(()),
@@ -301,7 +301,7 @@ impl Catalog {
         self.add(spec, shared).await
     }
 
-    /// Holds a map of the cluster, which others may hold already.
+    /// Holds a map of the cluster, which other daemons may hold already.
     ///
     /// # Errors
     /// See [`CatalogError`].
@@ -312,7 +312,7 @@ impl Catalog {
             if !*open {
                 return Err(CatalogError::Stopping);
             }
-            // It may have been created here meanwhile.
+            // The map may have been created here meanwhile.
             if let Ok(known) = this.get(spec.name.as_str())
                 && known.shared_uid == Some(uid)
             {
@@ -324,7 +324,7 @@ impl Catalog {
         .await
     }
 
-    /// Whether a map may be added. For sure only with the lock of changes.
+    /// Checks that a map may be added. The result is certain only with the lock of changes.
     pub(crate) fn check_new(&self, spec: &MapSpec) -> Result<(), CatalogError> {
         let maps = self.maps.load();
         if maps.contains_key(&spec.name) {
@@ -337,7 +337,7 @@ impl Catalog {
         Ok(())
     }
 
-    /// Adds a map. Called with the lock of changes.
+    /// Adds a map. The caller has the lock of changes.
     async fn add(&self, spec: MapSpec, new: MapOrigin) -> Result<Arc<MapHandle>, CatalogError> {
         let mut maps = ByName::clone(&self.maps.load());
         let context = self.context.clone();
@@ -363,7 +363,7 @@ impl Catalog {
     }
 
     /// Deletes a map for good. Continues if the caller is dropped. If the store fails, the map is still listed, but
-    /// takes no observations; deleting it can be tried again.
+    /// accepts no observations; the deletion can be tried again.
     ///
     /// # Errors
     /// See [`CatalogError`].
@@ -379,7 +379,7 @@ impl Catalog {
         }
         let cluster = self.context.cluster.as_ref().zip(MapName::new(name).ok());
         if let Some(map) = self.unavailable().iter().find(|map| map.name == name && self.get(name).is_err()) {
-            // Where the number cannot be read, only what is here is deleted.
+            // If the number cannot be read, only the local map is deleted.
             if let (Some((cluster, name)), Ok(Some(uid))) = (&cluster, self.context.store.shared(map.id)) {
                 cluster.delete_unheld(name, Some(uid)).await.map_err(ClusterError::from)?;
             }
@@ -424,7 +424,7 @@ impl Catalog {
         .await
     }
 
-    /// Deletes a map that is open. Called with the lock of changes.
+    /// Deletes an open map. The caller has the lock of changes.
     async fn delete_open(&self, handle: Arc<MapHandle>) -> Result<(), CatalogError> {
         let name = handle.spec.name.as_str();
         let before = self.all();
@@ -447,7 +447,7 @@ impl Catalog {
         deleted
     }
 
-    /// Stops all writers; what is in flight becomes durable and is acknowledged first.
+    /// Stops all writers; records in flight become durable and are acknowledged first.
     pub(crate) async fn stop(&self) {
         self.is_stopping.store(true, Ordering::Relaxed);
         let mut open = self.changing.lock().await;
@@ -466,7 +466,7 @@ impl Catalog {
     }
 }
 
-/// Opens a map; one with more bytes of checkpoints and log shows what the index publishes, where that does.
+/// Opens a map. A map with more bytes of checkpoints and log serves what the index publishes, if it publishes the map.
 fn open_or_publish(
     context: &Context,
     id: MapId,

@@ -1,12 +1,12 @@
-//! The daemon's clocks. The only place that reads the wall clock.
+//! The daemon's clocks. No other code reads the wall clock.
 //!
 //! Invariant: all other code gets the time from here, so that tests can set it.
 
 use std::{fmt, time::SystemTime};
 
-/// Tells the time of day.
+/// A clock that returns the time of day.
 pub(crate) trait Clock: fmt::Debug + Send + Sync {
-    /// Nanoseconds since 1970-01-01T00:00:00Z.
+    /// Returns the nanoseconds since 1970-01-01T00:00:00Z.
     fn now_nanos(&self) -> i64;
 }
 

@@ -1,8 +1,8 @@
 //! This daemon as a member of a cluster: the connection to the engine, the replicas of the maps that it holds, and the
 //! other members.
 //!
-//! Invariant: without a section `[cluster]` none of this runs. A map is deleted here only if the catalogue of the
-//! cluster says that it was deleted.
+//! Invariant: without a section `[cluster]` nothing in this module runs. A map is deleted here only if the catalogue of
+//! the cluster lists it as deleted.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -38,19 +38,19 @@ pub(crate) mod operations;
 
 /// Pause before the engine is tried again at the start.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
-/// How long replicas may take to stop.
+/// Time limit for the replicas to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
-/// Why something cannot be done in the cluster.
+/// The reason why an operation of the cluster fails.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ClusterError {
-    /// The engine is not what tidemap relies on.
+    /// The engine does not have the properties on which tidemap relies.
     #[error("the engine of the cluster cannot be used: {0}")]
     Check(#[from] NatsCheckError),
-    /// The engine does not do what is asked of it.
+    /// A call to the engine has failed.
     #[error("the engine of the cluster: {0}")]
     Engine(#[from] EngineError),
-    /// There is a map of this name.
+    /// There is already a map of this name.
     #[error("map {0:?} exists already")]
     Exists(String),
 }
@@ -82,18 +82,18 @@ struct Membership {
     id: String,
     boot: u64,
     members: watch::Sender<MembersView>,
-    /// By the number of the map in the cluster. Held for a look-up.
+    /// The replicas, by the number of the map in the cluster. The lock is held only for a lookup.
     replicas: Mutex<BTreeMap<u64, RunningReplica>>,
-    /// How far the own logs of maps go whose replicas do not run yet, or no longer. A daemon that takes over a map
-    /// waits for one with a longer log only if that one is known to have it.
+    /// The ends of the own logs of maps whose replicas do not run yet, or no longer run. A daemon that takes over a map
+    /// waits for a daemon with a longer log only if that log has been reported.
     ends: Mutex<BTreeMap<u64, u64>>,
-    /// Hears of what makes this daemon end.
+    /// Receives the fault that ends this daemon.
     fatal: mpsc::UnboundedSender<String>,
-    /// Wakes who keeps the catalogue.
+    /// Wakes the task that follows the catalogue.
     changed: Notify,
     is_draining: watch::Sender<bool>,
     secret: PeerSecret,
-    /// Why maps are not held yet that this daemon is to hold, by the number of the map in the cluster.
+    /// The reasons why maps that this daemon must hold are not held yet, by the number of the map in the cluster.
     waiting_maps: Mutex<BTreeMap<u64, String>>,
     /// The maps that this daemon does not hold, and their writers as far as they are known; `None`: the catalogue has
     /// not been read yet.
@@ -114,7 +114,7 @@ fn named(path: &Path) -> Option<PathBuf> {
     Some(path.to_owned()).filter(|path| !path.as_os_str().is_empty())
 }
 
-/// How the engine of a section is reached.
+/// The settings of the engine, from a section of the config file.
 pub(crate) fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     let credentials = match (named(&settings.credentials_file), named(&settings.nkey_file)) {
         (Some(file), _) => NatsCredentials::File(file),
@@ -133,7 +133,7 @@ pub(crate) fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     }
 }
 
-/// The engine, identity and secret of the cluster, and how far the own logs of this daemon went at its last report.
+/// The engine, identity and secret of the cluster, and the ends of the own logs of this daemon at its last report.
 type Connected = (NatsEngine, String, PeerSecret, BTreeMap<u64, u64>);
 
 async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Connected, ClusterError> {
@@ -147,7 +147,7 @@ async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Co
     Ok((engine, id, PeerSecret::new(secret), before.unwrap_or_default().logs))
 }
 
-/// The URLs of servers as a log may show them: without user and password.
+/// The URLs of servers without user and password, so that a log may contain them.
 fn without_secrets(servers: &[String]) -> Vec<String> {
     let shown = |url: &String| match url.rsplit_once('@') {
         Some((secret, host)) => match secret.split_once("://") {
@@ -159,7 +159,7 @@ fn without_secrets(servers: &[String]) -> Vec<String> {
     servers.iter().map(shown).collect()
 }
 
-/// Where a daemon starts.
+/// The data with which a daemon joins a cluster.
 #[derive(Clone, Debug)]
 pub(crate) struct ClusterStart {
     /// Address of the gRPC port.
@@ -168,7 +168,7 @@ pub(crate) struct ClusterStart {
     pub proposed_id: String,
     /// Numbers of the shared maps that are on this daemon's disk.
     pub held: BTreeSet<u64>,
-    /// Hears of what makes this daemon end.
+    /// Receives the fault that ends this daemon.
     pub fatal: mpsc::UnboundedSender<String>,
 }
 
@@ -224,12 +224,12 @@ impl Cluster {
         self.0.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The identity of the cluster, which its producers know in place of a store's.
+    /// The identity of the cluster, which its producers use instead of a store's.
     pub(crate) fn id(&self) -> &str {
         &self.0.id
     }
 
-    /// Makes the log of a map one that daemons share. `listener` is told what happens in it.
+    /// Makes the log of a map a shared one. `listener` receives its events.
     pub(crate) fn share(&self, uid: u64, name: &MapName, log: GroupLog, listener: ReplicaListener) -> SharedLog {
         let settings = &self.0.settings;
         let settings = ReplicaSettings {
@@ -245,7 +245,7 @@ impl Cluster {
             patience: Duration::from_millis(500),
             disk_inline: false,
         };
-        // A clone follows its stream on its own.
+        // A clone reads its stream independently.
         let (replica, handle, log) = Replica::new(self.0.engine.clone(), settings, log, listener);
         let (run, fatal) = (crate::task::spawn(replica.run()), self.0.fatal.clone());
         let ended = crate::task::spawn(async move {
@@ -259,7 +259,7 @@ impl Cluster {
         log
     }
 
-    /// Ends the replica of a map that is opened again, in order. `end` is what its log has then at least.
+    /// Ends the replica of a map that is opened again, in order. `end` is the least end of its log afterwards.
     pub(crate) async fn unshare_at(&self, uid: u64, end: u64) {
         self.unshare(uid).await;
         self.ends().insert(uid, end);
@@ -275,7 +275,7 @@ impl Cluster {
         }
     }
 
-    /// Adds a map to the cluster; gives its number.
+    /// Adds a map to the cluster; returns its number.
     ///
     /// # Errors
     /// [`ClusterError::Exists`], [`ClusterError::Engine`].
@@ -291,32 +291,32 @@ impl Cluster {
         match catalogue::add(engine, name, &ClusterMap::new(uid, &encode_spec(spec))).await {
             Ok(_) => Ok(uid),
             Err(SetError::NotExpected) => {
-                // Nobody knows the stream.
+                // No other daemon uses the stream.
                 drop(engine.delete_stream(&catalogue::stream(uid)).await);
                 Err(ClusterError::Exists(name.to_owned()))
             }
-            // The entry may be there all the same.
+            // The entry may exist all the same.
             Err(SetError::Engine(error)) => match catalogue::find(engine, name).await? {
                 Some((map, _)) if map.uid() == Some(uid) => Ok(uid),
                 Some(_) => {
                     drop(engine.delete_stream(&catalogue::stream(uid)).await);
                     Err(ClusterError::Exists(name.to_owned()))
                 }
-                // It may still come, and must then have its stream.
+                // The entry may still appear, and then needs its stream.
                 None => Err(error.into()),
             },
         }
     }
 
-    /// Deletes a map from the cluster. The other daemons delete what they have of it when they see that.
+    /// Deletes a map from the cluster. The other daemons delete their data of the map when they see this.
     ///
     /// # Errors
-    /// [`ClusterError::Engine`]; it can be tried again.
+    /// [`ClusterError::Engine`]; the deletion can be tried again.
     pub(crate) async fn delete(&self, name: &MapName, uid: u64) -> Result<(), ClusterError> {
         Ok(catalogue::delete(&self.0.engine, name.as_str(), uid).await?)
     }
 
-    /// Makes the buckets of the cluster again where the engine has lost them, with what they say of the cluster.
+    /// Creates the buckets of the cluster again where the engine has lost them, with the data of the cluster.
     pub(crate) async fn restore_buckets(&self) {
         let inner = &self.0;
         let restored = async {
@@ -345,18 +345,18 @@ impl Cluster {
         &self.0.engine
     }
 
-    /// The section of the config file.
+    /// The section `[cluster]` of the config file.
     pub(crate) fn settings(&self) -> &ClusterSettings {
         &self.0.settings
     }
 
-    /// Those that may hold maps; `None` where the engine does not tell.
+    /// The members that may hold maps; `None` where the engine does not reply.
     pub(crate) fn candidates(&self) -> Option<Vec<Candidate>> {
         let view = self.0.members.borrow();
         view.trouble.is_none().then(|| membership::candidates(&view.members))
     }
 
-    /// Tells the replica of a map after how many others it may become the writer; `false`: there is no replica here.
+    /// Sets the rank after which the replica of a map may become the writer; `false`: there is no replica here.
     pub(crate) fn set_candidacy(&self, uid: u64, rank: Option<u32>) -> bool {
         match self.replicas().get(&uid) {
             Some(replica) => {
@@ -367,7 +367,7 @@ impl Cluster {
         }
     }
 
-    /// From now on these are the maps that this daemon does not hold, and their writers where they are known.
+    /// Sets the maps that this daemon does not hold, and their writers where they are known.
     pub(crate) fn set_others(&self, writers: BTreeMap<String, Option<String>>) {
         *self.0.others.lock().unwrap_or_else(PoisonError::into_inner) = Some(writers);
     }
@@ -401,7 +401,8 @@ impl Cluster {
         }
     }
 
-    /// Ends all replicas: what is in flight is answered, and the logs that this daemon writes are given to others.
+    /// Ends all replicas: calls in flight are completed, and the logs that this daemon writes are handed over to
+    /// others.
     pub(crate) async fn stop(&self) {
         self.0.is_draining.send_replace(true);
         let replicas = std::mem::take(&mut *self.replicas());
@@ -415,7 +416,7 @@ impl Cluster {
         }
     }
 
-    /// Reports this daemon and looks at the others, for as long as no other one has its name.
+    /// Publishes the report of this daemon and reads those of the others, as long as no other daemon has its name.
     pub(crate) async fn keep_reporting(self) -> NameTaken {
         let (engine, member) = (self.0.engine.clone(), self.0.settings.member.clone());
         let sender = self.0.members.clone();

@@ -1,7 +1,7 @@
-//! What `/metrics` says of the cluster, taken from what this daemon knows at that moment.
+//! The metrics of the cluster in `/metrics`, from the current data of this daemon.
 //!
-//! Invariant: nothing is asked of the engine or of another daemon, and no name of a map or a member is told. A daemon
-//! alone has the figures too, as those of a cluster without members, so that alerts find every series.
+//! Invariant: no request goes to the engine or to another daemon, and the metrics contain no name of a map or a member.
+//! A daemon alone has the same metrics, with the values of a cluster without members, so that alerts find every series.
 
 use std::time::Duration;
 
@@ -16,16 +16,16 @@ use crate::{catalog::Catalog, cluster::Cluster};
 /// A value of a metric, with a label or without.
 pub(crate) type Figure = (&'static str, Option<(&'static str, &'static str)>, f64);
 
-/// What this daemon knows of the maps of its cluster.
+/// The data of this daemon about the maps of its cluster.
 #[derive(Debug, Default)]
 struct MapFigures {
-    /// Those that it does not hold.
+    /// Number of the maps that this daemon does not hold.
     others: usize,
-    /// What it is to those that it holds.
+    /// The states of the replicas of this daemon.
     held: Vec<ReplicaStatus>,
 }
 
-/// What this daemon is to the maps that it holds.
+/// The figures of the maps that this daemon holds.
 fn of_maps(MapFigures { others, held }: &MapFigures, now: Instant) -> [Figure; 6] {
     let lag = held.iter().map(|status| status.shared_position.saturating_sub(status.position)).max();
     let age = |status: &ReplicaStatus| status.heard.map_or(Duration::MAX, |heard| now.saturating_duration_since(heard));
@@ -61,7 +61,7 @@ fn of_members(view: &MembersView) -> [Figure; 3] {
 fn of_forks(catalog: &Catalog) -> [Figure; 2] {
     let (mut of_one, mut of_more) = (0_u32, 0_u32);
     for handle in catalog.all().values().filter(|handle| handle.shared_uid.is_some()) {
-        // Those of a folder that cannot be read are told by `tidemap cluster status`.
+        // `tidemap cluster status` reports the folder of forks that cannot be read.
         for fork in catalog.context().store.forks(handle.id).unwrap_or_default() {
             if fork.groups > 1 { of_more += 1 } else { of_one += 1 }
         }

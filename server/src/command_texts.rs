@@ -1,6 +1,6 @@
 //! Texts that are made of the command line and the settings: completions of shells, man pages, config files.
 //!
-//! Invariant: what they describe is what this program accepts; hidden commands are in none of them.
+//! Invariant: the texts describe what this program accepts; they contain no hidden commands.
 
 use std::{
     fs,
@@ -13,7 +13,7 @@ use clap::CommandFactory as _;
 
 use crate::config::{Flags, OfflineCommand, Settings, config_text};
 
-/// Runs a command that only prints or writes such a text; `None` for another one.
+/// Runs a command that only prints or writes such a text; `None` for other commands.
 pub(crate) fn run(flags: &Flags) -> Option<ExitCode> {
     let done = match flags.command.as_ref()? {
         OfflineCommand::Completions { shell } => {

@@ -1,7 +1,7 @@
 //! Opens the store, starts the maps and the ports, and stops them in order.
 //!
-//! Invariant: the line `listening …` is printed only when requests are served. A stop acknowledges what is in flight,
-//! closes the store and ends, whatever clients and the disk do: each step has its deadline.
+//! Invariant: the line `listening …` is printed only when requests are served. A stop acknowledges the records in
+//! flight, closes the store and ends, whatever clients and the disk do: each step has its deadline.
 
 use std::{io::Write as _, sync::Arc, time::Duration};
 
@@ -35,12 +35,12 @@ mod ports;
 use opening::{open_catalog, open_store};
 use ports::{Ports, Protection, Served, known_hosts, listen_on_ports};
 
-/// Time for the maps to make durable what is in flight.
+/// Time limit for the maps to make the records in flight durable.
 const MAPS_STOP_WITHIN: Duration = Duration::from_secs(10);
-/// Time for the store to close.
+/// Time limit for the store to close.
 const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 
-/// Why the daemon ended; each error has its exit status.
+/// The reason why the daemon ended; each error has its exit status.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DaemonError {
     #[error("{0}")]
@@ -58,7 +58,7 @@ pub(crate) enum DaemonError {
 }
 
 impl DaemonError {
-    /// Exit status as in sysexits.h.
+    /// The exit status, as in sysexits.h.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Locked(_) => 73,
@@ -86,7 +86,7 @@ impl From<CatalogError> for DaemonError {
 /// # Errors
 /// See [`DaemonError`].
 pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
-    // Whatever the daemon was started with: what robots saw is nobody else's business.
+    // This overrides the umask of the caller: other users must not read the robots' observations.
     umask(Mode::RWXG | Mode::RWXO);
     let recorder = telemetry::start_metrics()?;
     let traces = Traces::start(&settings.otlp_endpoint, settings.trace_ratio)?;
@@ -101,7 +101,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     };
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
-    // Of a folder that exists, its lock says more than a port in use: a second daemon. A new one is not even made.
+    // If the folder exists, the error of its lock is clearer than a port in use: it shows a second daemon. A new folder
+    // is not even created.
     if !settings.data_dir.exists() {
         drop(listen_on_ports(&settings).await?);
     }
@@ -110,7 +111,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let (forks_sender, mut forks) = mpsc::unbounded_channel();
     let cluster = tokio::select! {
         cluster = join_cluster(&settings, &store, fatal_sender.clone()) => cluster?,
-        // The engine may be away for long.
+        // The engine may be unreachable for a long time.
         _ = terminate.recv() => return stop_before_start(store).await,
         _ = interrupt.recv() => return stop_before_start(store).await,
     };
@@ -151,7 +152,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     drop(scrubber);
     stop_sender.send_replace(true);
     if let Some(cluster) = &cluster {
-        // First, so that other daemons write the maps before this one has stopped.
+        // This comes first, so that other daemons write the maps before this one has stopped.
         cluster.stop().await;
     }
     if tokio::time::timeout(MAPS_STOP_WITHIN, catalog.stop()).await.is_err() {
@@ -163,28 +164,28 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     result
 }
 
-/// Ends a daemon that serves nothing yet.
+/// Ends a daemon that does not serve anything yet.
 async fn stop_before_start(store: Arc<Store>) -> Result<(), DaemonError> {
     info!("stopping");
     close(store).await;
     Ok(())
 }
 
-/// Joins the cluster that the settings name, if they do.
+/// Joins the cluster that the settings name, if there is one.
 async fn join_cluster(
     settings: &Settings,
     store: &Store,
     fatal: mpsc::UnboundedSender<String>,
 ) -> Result<Option<Cluster>, DaemonError> {
     let Some(section) = &settings.cluster else { return Ok(None) };
-    // A map that cannot be opened says so when it is opened.
+    // A map that cannot be opened reports this when it is opened.
     let held = store.maps().into_iter().filter_map(|(id, _)| store.shared(id).ok().flatten()).collect();
     let start = ClusterStart { listen: settings.listen.clone(), proposed_id: random_id()?, held, fatal };
     let connected = Cluster::connect(section, start).await;
     connected.map(Some).map_err(|error| DaemonError::Settings(error.to_string()))
 }
 
-/// Says that requests are served.
+/// Reports that requests are served.
 fn tell_ready(settings: &Settings, store: &Store, ports: &Ports) {
     let Ports { grpc_address, http_address, .. } = ports;
     println!("listening grpc={grpc_address} http={http_address}");
@@ -209,7 +210,7 @@ async fn close(store: Arc<Store>) {
     let (done, closed) = oneshot::channel();
     let thread = std::thread::Builder::new().name("close".to_owned()).spawn(move || {
         store.close();
-        // After the deadline nobody waits.
+        // After the deadline nobody waits for this.
         let _ = done.send(());
     });
     if let Err(error) = thread {

@@ -1,6 +1,6 @@
-//! `tidemapd check-engine`: whether the engine of a cluster is what tidemap relies on.
+//! `tidemapd check-engine`: checks that the engine of a cluster has the properties on which tidemap relies.
 //!
-//! Invariant: nothing but a stream of its own is changed in the engine, and that one is deleted.
+//! Invariant: the check changes nothing in the engine except a stream of its own, and deletes this stream.
 
 use std::{process::ExitCode, time::Duration};
 
@@ -13,9 +13,9 @@ use tidemap_cluster::{
 
 use crate::{cluster::nats_settings, config::Settings, random_id::random_id};
 
-/// Writers that race, each with a connection of its own.
+/// Number of writers that race, each with a connection of its own.
 const WRITERS: usize = 4;
-/// Nothing can be said about the engine, or it is refused.
+/// The exit status if the engine could not be checked, or is refused.
 const UNUSABLE: u8 = 78;
 
 const FAILED: &str = "the engine could not be checked";

@@ -1,7 +1,7 @@
 //! Compares the predictions of models with observations that are not learned.
 //!
 //! Invariant: only sums and the reasons of missing models are kept, so that memory depends neither on the number of
-//! observations nor on the number of trained models: those are lent for one addition.
+//! observations nor on the number of trained models. Trained models are lent for one addition.
 
 use std::{
     borrow::Cow,
@@ -21,10 +21,10 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
-/// Times whose phasors are held at once.
+/// Number of times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
 
-/// What predicts a state where a model must be trained on its readings.
+/// The source of the predictions of a state, where a model must be trained on its readings.
 #[derive(Clone, Debug)]
 pub(crate) enum AnswerSource {
     /// The trained model.
@@ -37,15 +37,15 @@ pub(crate) enum AnswerSource {
 #[derive(Debug)]
 pub(crate) struct Evaluator {
     view: Arc<MapView>,
-    /// One per row of a state: models without an order of their own stand for all orders.
+    /// One entry per row of a state: a model without an order of its own covers all orders.
     rows: Vec<ModelSelector>,
     states: Vec<Subject>,
-    /// Why there are no models: many states share few reasons.
+    /// The reasons why there are no models: many states share few reasons.
     reasons: HashSet<Arc<str>>,
     sums: HashMap<Subject, ErrorSums>,
 }
 
-/// What observations are of: a state, an angle by cosine and sine, or a categorical state by all labels.
+/// The kind of observations: those of a state, of an angle by cosine and sine, or of a categorical state by all labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Compared {
     Alone,
@@ -57,23 +57,24 @@ pub(crate) enum Compared {
 #[derive(Debug)]
 struct ErrorSums {
     target: StateOrCell,
-    /// Why there is no model, once one was missing.
+    /// The reason why there is no model, once one was missing.
     missing: Vec<Option<Arc<str>>>,
     compared: Compared,
     errors: Vec<Evaluation>,
 }
 
-/// The sine of an angle, whose state is its cosine, or a label after the first, with its answer sources.
+/// Another part of a state with its prediction sources: the sine of an angle, whose state is its cosine, or a label
+/// after the first.
 #[derive(Clone, Debug)]
 pub(crate) struct OtherPart {
     /// The state.
     pub(crate) state: StateId,
-    /// One for each of [`Evaluator::kinds_to_train`].
+    /// One source for each of [`Evaluator::kinds_to_train`].
     pub(crate) trained: Vec<AnswerSource>,
 }
 
 impl Evaluator {
-    /// Compares these models. A spectral model without an order stands for the orders 0..=`max_order`.
+    /// Compares these models. A spectral model without an order means the orders 0..=`max_order`.
     pub(crate) fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
         let mut rows = Vec::new();
         for model in models {
@@ -97,7 +98,7 @@ impl Evaluator {
         kinds.into_iter()
     }
 
-    /// An answer source without a model, for this reason.
+    /// A prediction source without a model, for this reason.
     pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
         AnswerSource::Nothing(known.unwrap_or_else(|| {
@@ -122,12 +123,12 @@ impl Evaluator {
         }
     }
 
-    /// Adds observations of a state that has begun; `trained` has one answer source for each of
+    /// Adds observations of a state that has begun; `trained` has one prediction source for each of
     /// [`Evaluator::kinds_to_train`]. `others`: the sine of an angle, or all labels but the first, where the
-    /// observations are angles, or the numbers of labels.
+    /// observations are angles or numbers of labels.
     ///
     /// # Errors
-    /// The work was told to stop; the sums must then not be used.
+    /// The work received the signal to stop; the sums must then not be used.
     pub(crate) fn add(
         &mut self,
         subject: Subject,
@@ -158,7 +159,7 @@ impl Evaluator {
         for block in samples.chunks(TIMES_PER_BLOCK) {
             let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
             let prepared = self.view.prepare(&times);
-            // Of the state, and of each other part.
+            // Predictions of the state, and of each other part.
             let mut predicted = vec![vec![0.0; block.len()]; others.len() + 1];
             let rows = self.rows.iter().zip(&answering).zip(&mut sums.errors).enumerate();
             for (index, ((row, answering), sum)) in rows {
@@ -248,7 +249,7 @@ fn add_block(sum: &mut Evaluation, compared: Compared, block: &[Sample], predict
     }
 }
 
-/// The answer source of each row, from those of the rows that are trained on readings.
+/// The prediction source of each row, from the sources of the rows that are trained on readings.
 fn by_row(rows: &[ModelSelector], trained: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
     let mut trained = trained.into_iter();
     rows.iter().map(|row| if row.kind.needs_readings() { trained.next() } else { None }).collect()

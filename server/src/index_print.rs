@@ -1,4 +1,4 @@
-//! `tidemapd index DIR [MAP]`: prints what is in the index of a data folder that no daemon uses.
+//! `tidemapd index DIR [MAP]`: prints the index of a data folder that no daemon uses.
 //!
 //! Invariant: the data folder is not changed. The exit status is 0 where the index has a whole generation of every map,
 //! 1 where it lacks one, and 2 where nothing can be printed.
@@ -47,7 +47,7 @@ fn refuse(text: &str) -> ExitCode {
     ExitCode::from(2)
 }
 
-/// Why there is nothing whole, for people.
+/// The reason why there is no whole generation, for people.
 fn shown(rows: &IndexedRows) -> String {
     match rows {
         IndexedRows::Whole { .. } => "whole".to_owned(),

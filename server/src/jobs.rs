@@ -27,7 +27,7 @@ const JOBS_KEPT: usize = 1000;
 /// The cause of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum JobCause {
-    /// What started an update.
+    /// The cause of an update.
     Update(UpdateCause),
     /// A request to erase something.
     Erasure,
@@ -36,7 +36,7 @@ pub(crate) enum JobCause {
 }
 
 impl JobCause {
-    /// Its name, for the log.
+    /// Name of the cause, for the log.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Update(UpdateCause::Request) => "request",
@@ -58,13 +58,13 @@ impl From<UpdateCause> for JobCause {
 /// The progress of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Phase {
-    /// Waits for another job of the same map.
+    /// The job waits for another job of the same map.
     Waiting,
-    /// Runs since this instant.
+    /// The job runs since this instant.
     Running(Instant),
-    /// Ended successfully, after this time.
+    /// The job ended successfully, after this time.
     Done(Duration),
-    /// Failed, after this time.
+    /// The job failed, after this time.
     Failed(Duration, String),
 }
 
@@ -88,7 +88,7 @@ pub(crate) struct JobStatus {
 }
 
 impl JobCause {
-    /// What is done, for the name of its span.
+    /// The name of the work, for the job's span.
     fn span_name(self) -> &'static str {
         match self {
             Self::Update(_) => "update",
@@ -102,34 +102,35 @@ impl JobCause {
 #[derive(Debug)]
 pub(crate) struct UpdateJob {
     pub id: u64,
-    /// Its map; `None`: all maps.
+    /// The map of the job; `None`: all maps.
     pub map: Option<MapName>,
     pub cause: JobCause,
-    /// When it was requested, nanoseconds UTC.
+    /// Time of the request, nanoseconds UTC.
     pub created_nanos: i64,
     /// States and tiles done so far.
     pub states_done: AtomicU64,
     status: watch::Sender<JobStatus>,
     /// The job as a span.
     span: Span,
-    /// What it does now, as a part of the span. A lock, because steps begin in several threads; held only to replace a
-    /// pointer.
+    /// The current step, as a part of the span. It has a lock, because steps begin in several threads; the lock is held
+    /// only to replace a pointer.
     step: Mutex<Span>,
-    // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
+    // The report has a lock, because it is dropped when the map's next update ends; the lock is held only to copy a
+    // pointer.
     report: Mutex<Option<Arc<UpdateReport>>>,
 }
 
 /// The result of an update.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct UpdateReport {
-    /// For all cells of the grid together.
+    /// The result for all cells of the grid together.
     pub cells: Option<GridOutcome>,
-    /// For each state that had observations.
+    /// The result for each state that had observations.
     pub states: Vec<StateOutcome>,
 }
 
 impl UpdateReport {
-    /// The result of two updates, one after the other.
+    /// The combined result of two updates, one after the other.
     fn followed_by(mut self, later: UpdateReport) -> UpdateReport {
         let mut places: HashMap<StateName, usize> = HashMap::with_capacity(self.states.len());
         places.extend(self.states.iter().enumerate().map(|(place, state)| (state.name.clone(), place)));
@@ -148,7 +149,7 @@ impl UpdateReport {
 }
 
 impl UpdateJob {
-    /// The name of its map; empty: all maps.
+    /// The name of the job's map; empty: all maps.
     pub(crate) fn map_name(&self) -> &str {
         self.map.as_ref().map_or("", MapName::as_str)
     }
@@ -163,19 +164,19 @@ impl UpdateJob {
         self.status.borrow().phase.has_ended()
     }
 
-    /// Follows the job.
+    /// A receiver of the job's status.
     pub(crate) fn watch(&self) -> watch::Receiver<JobStatus> {
         self.status.subscribe()
     }
 
-    /// The next step begins, which ends the one before.
+    /// Begins the next step, which ends the one before.
     pub(crate) fn step(&self, name: &'static str) {
         let next = self.span.child(name);
         let last = std::mem::replace(&mut *self.step.lock().unwrap_or_else(PoisonError::into_inner), next);
         last.end();
     }
 
-    /// Marks the job as running. A job that runs already has this much more to do.
+    /// Marks the job as running. If the job runs already, these amounts are added to its work.
     pub(crate) fn start(&self, states: u64, observations: u64) {
         self.status.send_modify(|status| {
             if status.phase == Phase::Waiting {
@@ -230,7 +231,7 @@ impl UpdateJob {
         });
     }
 
-    /// The result of the update; `None` if a later update of the map has ended since, or something was erased from it.
+    /// The result of the update; `None` if a later update of the map has ended since, or data was erased from the map.
     pub(crate) fn report(&self) -> Option<Arc<UpdateReport>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -240,12 +241,13 @@ impl UpdateJob {
 #[derive(Debug, Default)]
 pub(crate) struct Jobs {
     next_id: AtomicU64,
-    // A lock, because jobs come from all maps; held only to push or copy pointers.
+    // The jobs have a lock, because they come from all maps; it is held only to push or copy pointers.
     jobs: Mutex<VecDeque<Arc<UpdateJob>>>,
 }
 
 impl Jobs {
-    /// The jobs of one of several daemons: others have other numbers. They are below 2^52, which JSON readers keep.
+    /// The jobs of one of several daemons: other daemons have other job numbers. The numbers are below 2^52, which JSON
+    /// readers keep exactly.
     pub(crate) fn of_member(name: &str) -> Self {
         let number = u64::from(crc32c::crc32c(name.as_bytes()) & 0xF_FFFF).max(1);
         Self { next_id: AtomicU64::new(number << 32), ..Self::default() }
@@ -282,7 +284,7 @@ impl Jobs {
         });
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
         jobs.push_front(Arc::clone(&job));
-        // An old job that still waits or runs keeps its place, and does not keep ended ones.
+        // An old job that still waits or runs keeps its place, but does not keep the ended ones.
         while jobs.len() > JOBS_KEPT
             && let Some(oldest) = jobs.iter().rposition(|job| job.has_ended())
         {
@@ -303,8 +305,8 @@ impl Jobs {
         *known = Some(Arc::new(report));
     }
 
-    /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures
-    /// that have one of these names.
+    /// Drops the reports of a map after an erasure, because they name states, and the reasons of failures that contain
+    /// one of these names.
     pub(crate) fn erased(&self, map: &MapName, names: &[&str]) {
         for job in self.list().iter().filter(|job| job.map.as_ref() == Some(map)) {
             *job.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
@@ -318,7 +320,7 @@ impl Jobs {
         }
     }
 
-    /// All jobs known, newest first.
+    /// All known jobs, newest first.
     pub(crate) fn list(&self) -> Vec<Arc<UpdateJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }

@@ -1,9 +1,8 @@
-//! `tidemapd`, the map service that learns when things change. The library has one entry point, [`run`], so that a test
+//! `tidemapd`, the map service that learns when states change. The library has one entry point, [`run`], so that a test
 //! can start the same daemon on another disk; the program is `main.rs`.
 //!
-//! Invariant: every way out of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data
-//! cannot be used, 69 a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70
-//! anything else.
+//! Invariant: every end of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be
+//! used, 69 a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 any other error.
 
 mod access;
 mod backups;
@@ -47,7 +46,7 @@ use tidemap_store::disk::Disk;
 use crate::config::{BackupCommand, Flags, OfflineCommand, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
-/// status. Everything that must survive a power cut goes through `disk`.
+/// status. All data that must survive a power cut goes through `disk`.
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
     if let Some(code) = command_texts::run(&flags) {
@@ -66,7 +65,7 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
         _ => {}
     }
     let settings = match Settings::load(&flags).and_then(|settings| {
-        // A check tells of the engine itself: not of each connection, too.
+        // A check reports only the engine itself, not each connection.
         let is_check = matches!(flags.command, Some(OfflineCommand::CheckEngine { .. }));
         telemetry::start_logs(settings.log_format, if is_check { "warn" } else { &settings.log_level })?;
         config::instructions::apply(&settings.instruction_set)?;
@@ -102,7 +101,7 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
         }
     };
     let result = runtime.block_on(daemon::run(settings, disk));
-    // A running update is not waited for: the next start repeats it from the log.
+    // The daemon does not wait for a running update: the next start repeats it from the log.
     runtime.shutdown_background();
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -4,7 +4,8 @@ use std::{process::ExitCode, sync::Arc};
 
 use tidemap_store::disk::RealDisk;
 
-/// Gives memory back after an update, which the allocator of the system keeps; `.cargo/config.toml` has its settings.
+/// This allocator gives memory back after an update; the allocator of the system keeps it. `.cargo/config.toml` has its
+/// settings.
 #[cfg(feature = "jemalloc")]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;

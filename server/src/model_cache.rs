@@ -1,8 +1,8 @@
 //! Models that are trained on the readings of a state on request, and kept for the next request.
 //!
-//! Invariant: a model is kept under the generation whose readings it was trained on, so that it never answers for
-//! another. Concurrent requests for the same model share one training, which ends without a model when none of them
-//! waits any more; no lock is held meanwhile. A failure is not kept.
+//! Invariant: a model is kept under the generation whose readings it was trained on, so that it never predicts for
+//! another generation. Concurrent requests for the same model share one training, which ends without a model when none
+//! of them waits any more; no lock is held meanwhile. A failure is not kept.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -43,15 +43,15 @@ pub(crate) struct ModelKey {
     pub handle: u64,
     /// The model has learned the updates up to this one.
     pub generation: u64,
-    /// The state or cell; for positions the first axis.
+    /// The state or cell; for positions, the first axis.
     pub subject: Subject,
     /// The model, with its parameters.
     pub kind: ModelKind,
-    /// The first axis of the vector that tells where the state was observed, for models of places.
+    /// For models of places: the first axis of the vector that contains the position of each observation.
     pub place: Option<StateId>,
 }
 
-/// Room for a model, with how many requests wait for it.
+/// A slot for a model, with the number of requests that wait for it.
 #[derive(Debug)]
 struct CacheEntry<T> {
     model: OnceCell<Arc<T>>,
@@ -74,7 +74,7 @@ struct TrainingInterest<T> {
 }
 
 impl<T> TrainingInterest<T> {
-    /// For one training of the model: whether nobody waits for it any more.
+    /// The signal for one training of the model that no request waits for it any more.
     fn training_stop(&self) -> TrainingStop {
         TrainingStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
     }
@@ -86,17 +86,17 @@ impl<T> Drop for TrainingInterest<T> {
     }
 }
 
-/// Ends the training when nobody waits for the model.
+/// Ends the training when no request waits for the model.
 #[derive(Debug)]
 pub(crate) struct TrainingStop {
     waiting: Arc<AtomicUsize>,
-    /// Once told to stop, the training gives nothing, even if somebody requests the model again: that request trains
-    /// it anew.
+    /// Once the training has seen the stop, it returns nothing, even if the model is requested again: that request
+    /// trains it anew.
     is_over: AtomicBool,
 }
 
 impl TrainingStop {
-    /// Whether nobody waits any more, or did not at an earlier call.
+    /// Whether no request waits any more, or none did at an earlier call.
     pub(crate) fn is_set(&self) -> bool {
         if self.waiting.load(Ordering::Relaxed) == 0 {
             self.is_over.store(true, Ordering::Relaxed);
@@ -105,11 +105,11 @@ impl TrainingStop {
     }
 }
 
-/// The trained models of all maps: those of states, of positions, or of flows.
+/// The trained models of all maps: models of states, of positions, or of flows.
 #[derive(Debug)]
 pub(crate) struct ModelCache<T = CachedModel, K = ModelKey> {
     max: usize,
-    // A lock, because a lookup changes when a model was last used; never held during training.
+    // The entries have a lock, because a lookup changes the last use of a model; it is never held during training.
     entries: Mutex<CacheEntries<T, K>>,
 }
 
@@ -128,17 +128,18 @@ impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
         Self { max, entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }) }
     }
 
-    /// The model, if it is kept.
+    /// The model, if it is in the cache.
     pub(crate) fn get(&self, key: &K) -> Option<Arc<T>> {
         self.with_entries(|entries| entries.used(key)?.model.get().cloned())
     }
 
-    /// The model: kept, from a training that is running, or from `train`, which gets when to stop. The training has a
-    /// task of its own: if this request is dropped, others may wait for the same model; it stops when none waits.
+    /// The model: from the cache, from a training that is running, or from `train`, which receives the signal to stop.
+    /// The training has a task of its own: if this request is dropped, others may wait for the same model; it stops
+    /// when none waits.
     ///
     /// # Errors
-    /// The error of the training, or [`NoResult`] if it panicked. Other requests that wait for the model then train it
-    /// themselves.
+    /// The error of the training, or [`NoResult`] if the training panicked. Other requests that wait for the model then
+    /// train it themselves.
     pub(crate) async fn train_once<E, F>(
         self: &Arc<Self>,
         key: K,
@@ -187,7 +188,7 @@ impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
 }
 
 impl<T, K: Copy + Eq + Hash> CacheEntries<T, K> {
-    /// An existing slot, which becomes the last used.
+    /// An existing slot, which becomes the last used one.
     fn used(&mut self, key: &K) -> Option<CacheSlot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
@@ -197,7 +198,8 @@ impl<T, K: Copy + Eq + Hash> CacheEntries<T, K> {
         Some(Arc::clone(slot))
     }
 
-    /// The slot of a key, which becomes the last used; the least recently used ones go if there is no room for it.
+    /// The slot of a key, which becomes the last used one; if there is no room, the least recently used slots are
+    /// removed.
     fn slot(&mut self, key: K, max: usize) -> CacheSlot<T> {
         if let Some(slot) = self.used(&key) {
             return slot;

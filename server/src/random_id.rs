@@ -1,6 +1,6 @@
-//! Identities that nobody else has.
+//! Unique identities.
 //!
-//! Invariant: they are made of the randomness of the system.
+//! Invariant: they are made from the randomness of the system.
 
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
 pub(crate) fn random_id() -> anyhow::Result<String> {

@@ -1,8 +1,8 @@
 //! Files that are read again when they change: certificates and tokens.
 //!
-//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. What cannot be used is not put into
-//! use, and if it stays so, it is logged and counted once; what was in use before stays, and the new files are tried
-//! again every [`AGAIN_AFTER`]: they may become valid without a change.
+//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. Files that cannot be used are not put
+//! into use. If this remains, it is logged and counted once. The earlier content stays in use, and the new files are
+//! tried again every [`AGAIN_AFTER`], because they may become valid without a change.
 
 use std::{
     fs,
@@ -14,20 +14,20 @@ use std::{
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::{error, info, warn};
 
-/// Files are looked at this often.
+/// Interval at which files are checked.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Files that belong together are replaced one after the other, within this time; meanwhile they may not fit together.
+/// Time within which files that belong together are replaced one after the other; meanwhile they may not fit together.
 const REPLACED_WITHIN: Duration = Duration::from_secs(3);
-/// Files that could not be used are tried again after this time.
+/// Time after which files that could not be used are tried again.
 const AGAIN_AFTER: Duration = Duration::from_secs(60);
 
-/// What tells one version of a file from another: inode, size, and times of change in nanoseconds.
+/// The identity of a version of a file: inode, size, and times of change in nanoseconds.
 type Stamp = Option<(u64, u64, i64, i64, i64)>;
 
 fn stamps(paths: &[PathBuf]) -> Vec<Stamp> {
     let stamp = |path: &PathBuf| {
         let found = fs::metadata(path).ok()?;
-        // A change of permissions counts: it may be what makes the file usable.
+        // A change of permissions counts, because it may make the file usable.
         let changed = found.ctime() * 1_000_000_000 + found.ctime_nsec();
         Some((found.ino(), found.size(), found.mtime(), found.mtime_nsec(), changed))
     };
@@ -42,13 +42,13 @@ struct Failure {
 }
 
 impl Failure {
-    /// Whether the files are to be tried again.
+    /// Whether it is time to try the files again.
     fn is_due(&self) -> bool {
         self.tried.elapsed() >= if self.is_told { AGAIN_AFTER } else { REPLACED_WITHIN }
     }
 }
 
-/// Files to be followed, as they are now.
+/// Watched files, in their current version.
 #[derive(Debug)]
 pub(crate) struct FileWatch {
     what: &'static str,
@@ -57,7 +57,7 @@ pub(crate) struct FileWatch {
 }
 
 impl FileWatch {
-    /// Take this before the files are read for the first time, so that no change is missed.
+    /// Create this before the files are read for the first time, so that no change is missed.
     pub(crate) fn new(what: &'static str, paths: Vec<PathBuf>) -> Self {
         let stamps = stamps(&paths);
         Self { what, paths, stamps }

@@ -1,8 +1,8 @@
-//! `tidemapd check DIR` and `tidemapd backup restore BACKUP DIR`: what an operator does with folders that no daemon
-//! uses.
+//! `tidemapd check DIR` and `tidemapd backup restore BACKUP DIR`: the commands of an operator for folders that no
+//! daemon uses.
 //!
-//! Invariant: the exit status is 0 where all is sound or done, 1 where something is damaged or not done, and 2 where
-//! nothing can be checked. Results go to stdout, everything else to stderr.
+//! Invariant: the exit status is 0 where everything is sound or done, 1 where something is damaged or not done, and 2
+//! where the check is impossible. Results go to stdout, all other output to stderr.
 
 use std::{io::Write, path::Path, process::ExitCode};
 
@@ -15,7 +15,7 @@ use crate::{
     random_id::random_id,
 };
 
-/// Checks a data folder, and prints what is wrong.
+/// Checks a data folder, and prints the faults.
 pub(crate) fn run_check(directory: &Path, repair: bool, accept_loss: bool) -> ExitCode {
     let mode = match (repair, accept_loss) {
         (_, true) => Mode::AcceptLoss { now_nanos: SystemClock.now_nanos() },

@@ -1,7 +1,7 @@
 //! Reads the data folder again in the background, at a bounded rate.
 //!
-//! Invariant: it never reads faster than the setting allows, changes nothing, and stops nothing: what it finds is
-//! logged, and told by readiness and metrics.
+//! Invariant: it never reads faster than the setting allows, changes nothing, and stops nothing. Its findings are
+//! logged, and shown by readiness and metrics.
 
 use std::{
     sync::{
@@ -16,7 +16,7 @@ use tracing::{error, info, warn};
 
 use crate::config::Settings;
 
-/// The longest wait before it looks whether it should stop.
+/// The longest wait before the thread checks whether it has to stop.
 const STEP: Duration = Duration::from_millis(200);
 
 /// The thread that reads; it stops when this is dropped.
@@ -50,7 +50,7 @@ impl Scrubber {
             return scrubber;
         }
         let pause = Duration::from_secs(settings.scrub_every_secs);
-        // The store closes when nobody holds it, so a round holds it only while it runs.
+        // The store closes when nothing holds it, so a round holds it only while it runs.
         let (stopping, store) = (Arc::clone(&scrubber.is_stopping), Arc::downgrade(store));
         let spawned = std::thread::Builder::new().name("scrub".to_owned()).spawn(move || {
             let mut reported = Vec::new();

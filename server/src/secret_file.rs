@@ -1,8 +1,8 @@
-//! Who may read a file with secrets, by its permissions.
+//! Checks by the permissions of a file with secrets who may read it.
 //!
-//! Invariant: only looks; what is done about an open file is for its reader to say.
+//! Invariant: it only checks; the reader of the file decides what to do about an open file.
 
-/// Whether nobody but the owner can change a file or read it; of root's files, the group may read, as of secrets that
+/// Whether only the owner can change or read a file. For files of root, the group may also read, as for secrets that
 /// are mounted in containers.
 pub(crate) fn is_private(mode: u32, owner: u32) -> bool {
     let of_others = if owner == 0 { 0o037 } else { 0o077 };

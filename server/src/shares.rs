@@ -1,11 +1,11 @@
-//! What clients share, and how much of it one client may take: the only place where that is counted.
+//! The resources that clients share, and the amount of each that one client may take. They are counted only here.
 //!
-//! A client is the holder of a token, or an address that shows none. A daemon that passes requests on names the client
-//! that it passes them on for ([`client::Client`]). What is refused beyond a bound is a [`Share`]; what is waited for
-//! is a [`waited::WaitedShare`].
+//! A client is the holder of a token, or an address that shows none. A daemon that passes a request on names the
+//! original client ([`client::Client`]). A resource that is refused beyond a bound is a [`Share`]; a resource for which
+//! clients wait is a [`waited::WaitedShare`].
 //!
-//! Invariant: nothing is taken beyond a bound, and all that was taken is given back when its [`Taken`] is dropped. Of
-//! each share a client may take a part only. Who has shown no token takes nothing of those who have.
+//! Invariant: nothing is taken beyond a bound, and a taken part is given back when its [`Taken`] is dropped. A client
+//! may take only a part of each share. Clients without a token take nothing from clients with one.
 
 use std::{
     collections::HashMap,
@@ -23,21 +23,21 @@ use client::Client;
 
 use crate::config::Settings;
 
-/// Bounds of requests that need no token: they are small and end at once.
+/// Bounds of requests that need no token: these are small and end at once.
 const OPEN_REQUESTS: (usize, usize) = (128, 16);
 /// Bounds of large requests as JSON, which are converted one after the other.
 const LARGE_JSON: (usize, usize) = (32, 4);
 /// Bounds of the bytes of large requests that arrive at the same time.
 const LARGE_REQUESTS_BYTES: (usize, usize) = (64 << 20, 32 << 20);
-/// Bounds of updates that were asked for and have not ended. A map lets 16 wait, which is more than one client has.
+/// Bounds of requested updates that have not ended. A map lets 16 wait, which is more than one client has.
 const UPDATES: (usize, usize) = (1024, 8);
 
-/// What is bounded.
+/// A bounded resource.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Share {
     /// Requests.
     Requests,
-    /// Requests that need no token, of those who have shown none.
+    /// Requests that need no token, from clients that have shown none.
     Open,
     /// Watches of health, which may last for long.
     HealthWatches,
@@ -45,7 +45,7 @@ pub(crate) enum Share {
     LargeJson,
     /// Bytes of large requests.
     LargeBytes,
-    /// Streams of observations that have not said hello.
+    /// Streams of observations that have not sent their hello.
     Hellos,
     /// Streams of observations.
     Streams,
@@ -55,26 +55,26 @@ pub(crate) enum Share {
     Watches,
     /// Trained models that evaluations hold.
     TrainedModels,
-    /// Updates that were asked for.
+    /// Requested updates.
     Updates,
 }
 
 impl Share {
-    /// Whether what takes it ends by itself before long, so that another try is worth it.
+    /// Whether the holder of this share ends by itself soon, so that a repetition is useful.
     pub(crate) fn ends_soon(self) -> bool {
         matches!(self, Self::Requests | Self::Open | Self::LargeJson | Self::LargeBytes)
     }
 }
 
-/// The bounds of the shares that have settings: in all, and of one client.
+/// The bounds of the shares that have settings: the total, and the part of one client.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ShareLimits {
     pub requests: (usize, usize),
     pub streams: (usize, usize),
     pub watches: (usize, usize),
-    /// In all; a client has half of it.
+    /// The total; a client has half of it.
     pub table_bytes: usize,
-    /// In all; a client has half of it.
+    /// The total; a client has half of it.
     pub trained_models: usize,
 }
 
@@ -91,12 +91,12 @@ impl ShareLimits {
     }
 }
 
-/// The part of one client, or of one map, where no setting says it.
+/// The part of one client, or of one map, where no setting gives it.
 pub(crate) fn half(total: usize) -> usize {
     (total / 2).max(1)
 }
 
-/// Who reaches a bound.
+/// The holder whose bound is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Bound {
     /// One client.
@@ -113,28 +113,30 @@ pub(crate) enum Bound {
 pub(crate) struct ShareFull {
     /// The share.
     pub share: Share,
-    /// Whose bound is reached.
+    /// The holder whose bound is reached.
     pub bound: Bound,
     /// The bound.
     pub max: usize,
-    /// What bounds it, in words.
+    /// Name of the bounded resource, for people.
     pub name: &'static str,
 }
 
-/// A bound, with what the refusal calls it.
+/// A bound, with its name in the refusal.
 type Named = (usize, &'static str);
 
 /// The bounds of a share.
 struct Bounds {
     client: Named,
-    /// What bounds all clients of one map, where the share is of maps: half of what the other maps leave.
+    /// Name of the bound of all clients of one map, where the share is divided by maps: a map may take half of what the
+    /// other maps leave.
     map: Option<&'static str>,
     all: Named,
-    /// Whether clients of this machine without a token have no bound of their own. They can do worse than take all.
+    /// Whether clients of this machine without a token have no bound of their own. They could do more harm than taking
+    /// all.
     spares_this_machine: bool,
 }
 
-/// What is in use. Clones share it.
+/// The parts in use. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Shares {
     limits: ShareLimits,
@@ -180,7 +182,7 @@ impl Drop for Taken {
 }
 
 impl Taken {
-    /// Takes more of the same.
+    /// Takes more of the same share.
     ///
     /// # Errors
     /// There is no room.
@@ -190,7 +192,7 @@ impl Taken {
         Ok(())
     }
 
-    /// How much it is.
+    /// The taken amount.
     pub(crate) fn amount(&self) -> usize {
         self.amount
     }
@@ -316,7 +318,7 @@ impl Shares {
             }
             if let Some((map, name)) = map.zip(bounds.map) {
                 let taken = count.per_map.get(&map).copied().unwrap_or(0);
-                // However many maps are at work, there is room for the next.
+                // There is always room for another map, for any number of maps at work.
                 let left = bounds.all.0.saturating_sub(count.total - taken);
                 check(taken, (half(left), name), Bound::Map)?;
             }

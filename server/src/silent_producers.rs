@@ -1,7 +1,8 @@
-//! Which producers are silent, as metrics: robots that were heard lately and are not heard now.
+//! Metrics of silent producers: robots that sent data lately and do not send now.
 //!
-//! Invariant: at most so many series as the setting says, those that are silent for longest. A map whose writer does
-//! not answer in time delays the metrics by no more than [`ANSWER_WITHIN`]: what it said before is told again.
+//! Invariant: the number of series is at most the setting; the producers that are silent for longest are kept. A map
+//! whose writer does not reply in time delays the metrics by no more than [`ANSWER_WITHIN`]: its previous values are
+//! reported again.
 
 use std::{collections::BTreeMap, fmt::Write as _, time::Duration};
 
@@ -17,25 +18,26 @@ use crate::{
     telemetry::descriptions::{PRODUCER_SILENT, meaning},
 };
 
-/// Who was not heard for longer has left, and is not told.
+/// A producer that has sent nothing for longer has left, and is not reported.
 const HEARD_WITHIN_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
-/// The writers of all maps together have this long to answer.
+/// Time limit for the writers of all maps together to reply.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
-/// What is known of a map's producers.
+/// The data about a map's producers.
 #[derive(Debug, Default)]
 struct OfMap {
-    /// When each was heard last, over all its labels, in nanoseconds since 1970.
+    /// The last time at which each producer sent data, over all its labels, in nanoseconds since 1970.
     heard: BTreeMap<String, i64>,
-    /// The answer to the last question, if it has not come yet.
+    /// The reply to the last request, if it has not come yet.
     pending: Option<oneshot::Receiver<Vec<KnownProducer>>>,
 }
 
-/// Finds who is silent.
+/// Finds silent producers.
 #[derive(Debug)]
 pub(crate) struct SilentProducers {
     max: usize,
-    // A lock, because metrics may be read twice at once; the second waits for the answers to the first.
+    // The maps have a lock, because two requests may read the metrics at once; the second waits for the replies to the
+    // first.
     maps: Mutex<BTreeMap<MapId, OfMap>>,
 }
 
@@ -44,7 +46,7 @@ fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
-/// The series of those silent for longest: map, producer, and when it was heard.
+/// The series of the producers that are silent for longest: map, producer, and its last time.
 fn series(mut heard: Vec<(String, String, i64)>, now_nanos: i64, max: usize) -> String {
     heard.retain(|(_, _, at)| *at >= now_nanos.saturating_sub(HEARD_WITHIN_NANOS));
     heard.sort_by(|a, b| (a.2, &a.0, &a.1).cmp(&(b.2, &b.0, &b.1)));
@@ -63,7 +65,7 @@ fn series(mut heard: Vec<(String, String, i64)>, now_nanos: i64, max: usize) -> 
 }
 
 impl SilentProducers {
-    /// Tells at most `max`; with 0, none.
+    /// Reports at most `max` producers; with 0, none.
     pub(crate) fn new(max: usize) -> Self {
         Self { max, maps: Mutex::default() }
     }

@@ -1,7 +1,7 @@
-//! A named state or a cell of the grid, as one view has it: whatever predicts one predicts the other.
+//! A named state or a cell of the grid, as one view has it: every model that predicts one predicts the other.
 //!
-//! Invariant: a cell is described once, by the view it was looked up in. Its readings count as the values that the
-//! map's own sensor gives them; a model of them is one of probabilities.
+//! Invariant: a cell is described once, by the view in which it was looked up. Its readings count as the values that
+//! the map's own sensor gives them; a model of the readings predicts probabilities.
 
 use std::{borrow::Cow, sync::Arc};
 
@@ -35,11 +35,11 @@ pub(crate) enum StateOrCell {
 /// A cell that was observed.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownCell {
-    /// Where it is.
+    /// Index of the cell.
     pub index: CellIndex,
     /// The tile that holds the cell.
     pub tile: TileId,
-    /// Its description by the view.
+    /// The description of the cell in the view.
     pub description: CellDescription,
 }
 
@@ -50,7 +50,7 @@ impl From<StateId> for StateOrCell {
 }
 
 impl StateOrCell {
-    /// The source of its readings, which identifies it in its map.
+    /// The source of the readings, which identifies the state or cell in its map.
     pub(crate) fn subject(&self) -> Subject {
         match self {
             Self::State(id) => Subject::State(*id),
@@ -66,7 +66,7 @@ impl StateOrCell {
         }
     }
 
-    /// What its values mean.
+    /// The meaning of the values.
     pub(crate) fn kind(&self, view: &MapView) -> StateKind {
         match self {
             Self::State(id) => view.kind(*id),
@@ -74,7 +74,7 @@ impl StateOrCell {
         }
     }
 
-    /// How its observations come about.
+    /// The way in which the observations are reported.
     pub(crate) fn reporting(&self, view: &MapView) -> Reporting {
         match self {
             Self::State(id) => view.info(*id).map_or(Reporting::Samples, |info| info.reporting),
@@ -98,7 +98,7 @@ impl StateOrCell {
         }
     }
 
-    /// Its last value and how long values last.
+    /// The last value, and the duration of values.
     pub(crate) fn persistence(&self, view: &MapView) -> Persistence {
         match self {
             Self::State(id) => view.live(*id).persistence,
@@ -106,7 +106,7 @@ impl StateOrCell {
         }
     }
 
-    /// The mean of what was learned; before the first observation the prior.
+    /// The mean of the learned observations; before the first one, the prior.
     pub(crate) fn mean(&self, view: &MapView) -> f64 {
         match self {
             Self::State(id) => view.model(*id).spectral().mean(),
@@ -114,7 +114,7 @@ impl StateOrCell {
         }
     }
 
-    /// Order of the spectral model that predicts it; 0 for a constant model or another kind.
+    /// Order of the spectral model that predicts the state or cell; 0 for a constant model or another kind.
     pub(crate) fn order(&self, view: &MapView, selector: ModelSelector) -> usize {
         match self {
             Self::State(id) => selector.order_for(view.model(*id)),
@@ -122,7 +122,7 @@ impl StateOrCell {
         }
     }
 
-    /// The model that predicts it. `None`: the prior does, because nothing was learned.
+    /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned.
     pub(crate) fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
         let is_learned = matches!(selector.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral);
         if is_learned && !selector.is_blended() && self.learned(view) == 0 {
@@ -134,7 +134,7 @@ impl StateOrCell {
         })
     }
 
-    /// Predicts it by the view's models. `out` is as long as the times.
+    /// Predicts the state or cell by the view's models. `out` is as long as the times.
     pub(crate) fn predict_into(&self, view: &MapView, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         match self {
             Self::State(id) => view.predict_into(*id, times, selector, out),
@@ -142,7 +142,7 @@ impl StateOrCell {
         }
     }
 
-    /// Predicts it by a model that was trained on its readings. `out` is as long as the moments.
+    /// Predicts the state or cell by a model that was trained on its readings. `out` is as long as the moments.
     pub(crate) fn predict_trained_into(
         &self,
         view: &MapView,
@@ -159,7 +159,7 @@ impl StateOrCell {
         }
     }
 
-    /// The predictive distributions around its predictions; `None` where looks are not counted: for a cell, and a
+    /// The predictive distributions around the predictions; `None` where bins are not counted: for a cell, and for a
     /// learned state without an ensemble.
     pub(crate) fn predictive_around(
         &self,
@@ -169,13 +169,13 @@ impl StateOrCell {
     ) -> Option<Vec<Predictive>> {
         let Self::State(id) = self else { return None };
         if self.learned(view) == 0 {
-            // Nobody has looked.
+            // There are no observations yet.
             return Some(probabilities.iter().map(|&p| Predictive::new(p, 0.0, 0.0)).collect());
         }
         view.model(*id).predictive_around(moments, probabilities)
     }
 
-    /// The bands of its predictions; none without a level.
+    /// The bands of the predictions; none without a level.
     pub(crate) fn intervals(
         &self,
         view: &MapView,
@@ -189,7 +189,7 @@ impl StateOrCell {
         }
     }
 
-    /// Readings as samples on the map's civil time, with the values that they count as.
+    /// The readings as samples on the map's civil time, with the values that they count as.
     pub(crate) fn samples(&self, view: &MapView, readings: impl IntoIterator<Item = (i64, f64)>) -> Vec<Sample> {
         let mut make = view.sample_maker();
         let levels = match self {

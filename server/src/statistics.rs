@@ -13,7 +13,7 @@ use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
 /// Name, value, unit.
 pub(crate) type Counter = (&'static str, f64, &'static str);
 
-/// Counters of one map. `worth`: what an update is expected to gain, if the map can say it.
+/// Counters of one map. `worth`: the expected gain of an update, if the map can compute it.
 pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle, worth: Option<UpdateWorth>) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
@@ -84,7 +84,7 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     rows
 }
 
-/// Gauges of updates: jobs, their progress, and the age of the generation that is oldest.
+/// Gauges of updates: jobs, their progress, and the age of the oldest generation.
 pub(crate) fn of_updates(catalog: &Catalog) -> [(&'static str, f64); 6] {
     let jobs = catalog.context().jobs.list();
     let mut progress = 1.0_f64;
@@ -131,9 +131,9 @@ fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
     if kept_bytes == 0 { 0.0 } else { observed_bits as f64 / (8.0 * kept_bytes as f64) }
 }
 
-/// Learned observations of named states, of one bit each, per bit of their history. It is 0 if the map does not keep
-/// all of them, or if what the newest generation has learned is not stored yet: then the files do not say how large
-/// the history of these observations is.
+/// Learned observations of named states, of one bit each, per bit of their history. The ratio is 0 if the map does not
+/// keep all of them, or if the newest generation is not stored yet: then the files do not show the size of the history
+/// of these observations.
 fn state_history_ratio(catalog: &Catalog, handle: &MapHandle) -> f64 {
     let view = handle.view();
     let history = catalog.context().store.history(handle.id).ok().and_then(|history| history.sizes().ok());

@@ -1,8 +1,8 @@
-//! Looks at the storage once a second: whether the data folder is still ours, what the health service reports, and
-//! whether an index that a full or failing disk had closed can be used again.
+//! Checks the storage once a second: whether the data folder still belongs to this daemon, the state for the health
+//! service, and whether an index that a full or failing disk had closed can be used again.
 //!
-//! Invariant: a folder or a log that is no longer ours ends the daemon, also while nothing is observed. The health
-//! service reports the same as readiness. Opening an index delays no look at the folder.
+//! Invariant: a folder or a log that no longer belongs to this daemon ends it, also while nothing is observed. The
+//! health service reports the same state as readiness. Opening an index never delays a check of the folder.
 
 use std::{
     sync::{Arc, Weak},
@@ -20,7 +20,8 @@ use crate::{catalog::Catalog, http::readiness, rpc::serve::Health, task::Task};
 
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Watches until nobody else holds the catalog, and with it the store; `fatal` hears why appends have stopped.
+/// Watches until nothing else holds the catalog, and with it the store; `fatal` receives the reason why appends have
+/// stopped.
 pub(crate) async fn run(
     catalog: Weak<Catalog>,
     health: Health,
@@ -42,7 +43,7 @@ pub(crate) async fn run(
         let store = Arc::clone(&catalog.context().store);
         drop(catalog);
         recover_index(&store, &mut index).await;
-        // A disk that hangs delays the next look only.
+        // A disk that hangs delays only the next check.
         if let Ok(Some(error)) = crate::task::blocking(move || store.verify()).await
             && fatal.send(error.to_string()).is_err()
         {
@@ -51,7 +52,7 @@ pub(crate) async fn run(
     }
 }
 
-/// Starts to open an index again that is not open, unless that is still under way.
+/// Starts to open an index again that is not open, unless this is still under way.
 async fn recover_index(store: &Arc<Store>, under_way: &mut Option<Task<()>>) {
     if let Some(work) = under_way {
         if tokio::time::timeout(Duration::ZERO, work).await.is_err() {

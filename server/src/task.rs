@@ -1,7 +1,7 @@
 //! Work on a thread that may block, and work beside the caller.
 //!
-//! Invariant: tokio sees one type of each. It makes dozens of functions anew for every type of task, which took a tenth
-//! of the time that this crate needs to compile.
+//! Invariant: tokio sees one type of each. For every type of task it generates dozens of functions, which took a tenth
+//! of the compile time of this crate.
 
 use std::{
     future::Future,
@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 #[error("the work ended without a result: it panicked, or the daemon stops")]
 pub(crate) struct NoResult;
 
-/// Work that was started, and its result when it is awaited. Dropping this does not stop the work.
+/// Started work, and its result when it is awaited. Dropping this does not stop the work.
 #[derive(Debug)]
 pub(crate) struct Task<T>(oneshot::Receiver<T>);
 

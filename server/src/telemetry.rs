@@ -1,6 +1,6 @@
 //! Logs, metrics and traces of the process.
 //!
-//! Invariant: logs go to stderr; stdout is for the line that names the ports.
+//! Invariant: logs go to stderr; stdout contains only the line that names the ports.
 
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ const BUCKETS_SECS: [f64; 16] =
 pub(crate) enum LogFormat {
     /// Lines for people.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
@@ -42,15 +42,15 @@ pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
 /// Checks a filter of the log.
 ///
 /// # Errors
-/// A filter that cannot be parsed, or that nothing of the daemon fits.
+/// A filter that cannot be parsed, or that matches nothing of the daemon.
 pub(crate) fn check_log_level(level: &str) -> anyhow::Result<()> {
     log_filter::parse(level).map(drop)
 }
 
-/// Version and, where it is known, commit: what `--version` says.
+/// The version and, where it is known, the commit: the output of `--version`.
 pub(crate) const VERSION: &str = env!("TIDEMAP_VERSION");
 
-/// Tells which program serves which data, as a metric.
+/// Reports the running program and its data, as a metric.
 pub(crate) fn tell_build(store_id: &str) {
     let (version, commit) = (env!("CARGO_PKG_VERSION"), env!("TIDEMAP_BUILT_FROM"));
     metrics::gauge!("tidemap_build_info", "version" => version, "commit" => commit, "store_id" => store_id.to_owned())
@@ -60,7 +60,7 @@ pub(crate) fn tell_build(store_id: &str) {
 /// Starts metrics for the whole process.
 ///
 /// # Errors
-/// Metrics were started before.
+/// Metrics were already started.
 pub(crate) fn start_metrics() -> anyhow::Result<PrometheusHandle> {
     let seconds = Matcher::Suffix("_seconds".to_owned());
     let handle = PrometheusBuilder::new().set_buckets_for_metric(seconds, &BUCKETS_SECS)?.install_recorder()?;

@@ -1,8 +1,8 @@
-//! Whether an update of a map is worth it, in bounded time.
+//! Estimates in bounded time whether an update of a map is worth its cost.
 //!
-//! The writer hands out an extract of what is pending, and the rest is done from a view. Invariant: what is judged and
-//! the model that judges are of the same generation. The writer copies at most [`STATES_MAX`] × [`READINGS_MAX`]
-//! readings.
+//! The writer returns an extract of the pending observations, and the rest is done from a view. Invariant: the judged
+//! observations and the judging model are of the same generation. The writer copies at most [`STATES_MAX`] ×
+//! [`READINGS_MAX`] readings.
 
 use std::{sync::Arc, time::Duration};
 
@@ -14,15 +14,16 @@ use crate::ingest::{
     protocol::{Command, PendingExtract, ReadPending},
 };
 
-/// Of a larger map the states with the largest numbers of pending observations are judged.
+/// Maximum number of judged states. In a larger map, these are the states with the largest numbers of pending
+/// observations.
 const STATES_MAX: usize = 1_000;
-/// Readings of a state that are judged.
+/// Maximum number of judged readings of a state.
 const READINGS_MAX: usize = 100;
-/// A writer that does not answer within this is opening its map, or is busy.
+/// Time limit for the writer's reply. A writer that takes longer is opening its map, or is busy.
 const WITHIN: Duration = Duration::from_secs(1);
 
-/// What learning the pending observations of a map is expected to gain. `None`: the writer does not answer at once, or
-/// an update ended meanwhile.
+/// The expected gain of learning the pending observations of a map. `None`: the writer does not reply at once, or an
+/// update ended meanwhile.
 pub(crate) async fn of_map(handle: &Arc<MapHandle>) -> Option<UpdateWorth> {
     if handle.view().pending() == 0 {
         return Some(UpdateWorth::default());

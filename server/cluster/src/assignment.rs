@@ -1,14 +1,14 @@
-//! Which daemons hold a map, and in which order they may become its writer.
+//! Selects the daemons that hold a map, and the order in which they may become its writer.
 //!
-//! Invariant: a function of the names and capacities alone (rendezvous hashing), so that all daemons that know of the
-//! same members come to the same answer, and a member that comes or goes moves few maps.
+//! Invariant: the result is a function of the names and capacities alone (rendezvous hashing). So all daemons that see
+//! the same members compute the same result, and a member that joins or leaves moves few maps.
 
 /// A daemon that may hold maps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
     /// Name of the daemon.
     pub name: String,
-    /// Its share of the maps is proportional to it; 0: none.
+    /// Capacity of the daemon: its number of maps is proportional to it; 0: it holds none.
     pub capacity: u32,
 }
 
@@ -24,12 +24,12 @@ fn mix(number: u64) -> u64 {
 /// capacities (Thaler and Ravishankar 1998; weighted as by Schindelhauer and Schomaker 2005).
 fn score(map: u64, candidate: &Candidate) -> f64 {
     let hash = candidate.name.bytes().fold(mix(map), |hash, byte| mix(hash ^ u64::from(byte)));
-    // In (0, 1).
+    // The number is in (0, 1).
     let uniform = ((hash >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
     f64::from(candidate.capacity) / -uniform.ln()
 }
 
-/// The candidates of a map, the first one first.
+/// The candidates of a map, in the order of their scores, highest first.
 #[must_use]
 pub fn order(map: u64, candidates: &[Candidate]) -> Vec<String> {
     let mut scored: Vec<(f64, &Candidate)> =
@@ -38,8 +38,8 @@ pub fn order(map: u64, candidates: &[Candidate]) -> Vec<String> {
     scored.into_iter().map(|(_, candidate)| candidate.name.clone()).collect()
 }
 
-/// The daemons that are to hold a map, those first that may write it first. One that an operator has named is the first
-/// while it is a candidate.
+/// The daemons that hold a map, in the order in which they may become its writer. A daemon that an operator has pinned
+/// is the first while it is a candidate.
 #[must_use]
 pub fn holders(map: u64, candidates: &[Candidate], pinned: Option<&str>, replicas: usize) -> Vec<String> {
     let mut order = order(map, candidates);

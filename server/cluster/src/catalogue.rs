@@ -18,11 +18,11 @@ const SECRET_KEY: &str = "secret";
 /// A map of the cluster.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClusterMap {
-    /// Its number, as 16 hexadecimal digits.
+    /// Number of the map, as 16 hexadecimal digits.
     uid: String,
-    /// Its fixed properties, as the store encodes them, in hexadecimal digits.
+    /// Fixed properties of the map, as the store encodes them, in hexadecimal digits.
     spec: String,
-    /// The daemon that is to write it, where an operator has said so.
+    /// The daemon that an operator has chosen as the writer of the map, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pinned: Option<String>,
 }
@@ -38,13 +38,13 @@ impl ClusterMap {
         ClusterMap { uid: format!("{uid:016x}"), spec: hex(spec), pinned: None }
     }
 
-    /// Its number in the cluster; `None` where the key is damaged.
+    /// Number of the map in the cluster; `None` where the key is damaged.
     #[must_use]
     pub fn uid(&self) -> Option<u64> {
         u64::from_str_radix(&self.uid, 16).ok()
     }
 
-    /// Its fixed properties, encoded; `None` where the key is damaged.
+    /// Fixed properties of the map, encoded; `None` where the key is damaged.
     #[must_use]
     pub fn spec(&self) -> Option<Vec<u8>> {
         let digits = self.spec.as_bytes();
@@ -63,7 +63,7 @@ pub fn stream(uid: u64) -> String {
     format!("tm_{uid:016x}")
 }
 
-/// What the catalogue says.
+/// The content of the catalogue.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Listing {
     /// Maps by name, in their order, each with the revision of its key.
@@ -72,7 +72,7 @@ pub struct Listing {
     pub deleted: BTreeSet<u64>,
 }
 
-/// The identity of the cluster, which is made by the first daemon that asks.
+/// The identity of the cluster. The first daemon that calls this creates it.
 ///
 /// # Errors
 /// [`EngineError`].
@@ -80,8 +80,8 @@ pub async fn cluster_id<E: Engine>(engine: &E, proposed: &str) -> Result<String,
     made_once(engine, ID_KEY, proposed).await
 }
 
-/// The secret by which the daemons of the cluster know each other, which is made by the first daemon that asks. Whoever
-/// can read it can read the logs of the maps as well.
+/// The secret by which the daemons of the cluster authenticate each other. The first daemon that calls this creates it.
+/// A program that can read this secret can also read the logs of the maps.
 ///
 /// # Errors
 /// [`EngineError`].
@@ -89,7 +89,7 @@ pub async fn cluster_secret<E: Engine>(engine: &E, proposed: &str) -> Result<Str
     made_once(engine, SECRET_KEY, proposed).await
 }
 
-/// The value of a key that is set once.
+/// The value of a key that is set once: the stored value, or else the proposed one, which is then stored.
 async fn made_once<E: Engine>(engine: &E, key: &str, proposed: &str) -> Result<String, EngineError> {
     match engine.set_if(Bucket::Maps, key, 0, Bytes::from(proposed.to_owned())).await {
         Ok(_) => Ok(proposed.to_owned()),
@@ -147,7 +147,7 @@ pub async fn add<E: Engine>(engine: &E, name: &str, map: &ClusterMap) -> Result<
 /// Changes the entry of a map that has this revision.
 ///
 /// # Errors
-/// [`SetError::NotExpected`]: it was changed meanwhile.
+/// [`SetError::NotExpected`]: the entry has another revision, because somebody has changed it meanwhile.
 pub async fn change<E: Engine>(engine: &E, name: &str, revision: u64, map: &ClusterMap) -> Result<u64, SetError> {
     engine.set_if(Bucket::Maps, &format!("{NAME_PREFIX}{name}"), revision, map.encode()).await
 }
@@ -200,7 +200,7 @@ mod tests {
         let listing = list(&engine).await.expect("read");
         assert_eq!((listing.maps, listing.deleted), (Vec::new(), BTreeSet::from([0xAB])));
         add(&engine, "office", &ClusterMap::new(2, &[])).await.expect("the name is free");
-        // What is deleted late is the old map.
+        // A deletion that comes late deletes the old map only.
         delete(&engine, "office", 0xAB).await.expect("deleted");
         assert_eq!(list(&engine).await.expect("read").maps.len(), 1);
     }

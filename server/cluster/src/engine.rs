@@ -1,11 +1,11 @@
-//! What tidemap asks of an engine: streams of messages that are appended to under a condition, and keys that are set
-//! under a condition.
+//! The operations that tidemap needs from an engine: conditional appends to streams of messages, and conditional writes
+//! of keys.
 //!
 //! A stream is a log of messages numbered from 1 without gaps. A bucket holds keys; each write of a key gets a revision
 //! that is higher than all before it in the bucket.
 //!
-//! Invariant: a call whose outcome is not known says so ([`EngineError::Unknown`]) and never guesses. Reads are
-//! answered by the leader, so that they see every write that was acknowledged before they began.
+//! Invariant: a call whose outcome is not known returns [`EngineError::Unknown`] and never guesses. The leader serves
+//! the reads, so that they see every write that was acknowledged before they began.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -17,10 +17,10 @@ use bytes::Bytes;
 /// Limit of a message, in bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1 << 20;
 
-/// Why a call to the engine has failed.
+/// The reason why a call to the engine has failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EngineError {
-    /// The engine did not answer in time, or the connection broke: the call may have had its effect or not.
+    /// The engine did not reply in time, or the connection broke: the call may have had its effect or not.
     #[error("the engine did not answer: {0}")]
     Unknown(String),
     /// The call has had no effect, and may succeed later: no leader, no connection.
@@ -37,7 +37,7 @@ pub enum EngineError {
     Refused(String),
 }
 
-/// Why a conditional append has not been made.
+/// The reason why a conditional append was not made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AppendIfError {
     /// The stream's last message has another number: nothing was appended.
@@ -48,7 +48,7 @@ pub enum AppendIfError {
     Engine(#[from] EngineError),
 }
 
-/// Why a key was not set.
+/// The reason why a key was not set.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SetError {
     /// The key has another revision: nothing was set.
@@ -62,9 +62,9 @@ pub enum SetError {
 /// A message of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Its number in the stream, from 1.
+    /// Number of the message in the stream, from 1.
     pub sequence: u64,
-    /// What was appended.
+    /// The bytes that were appended.
     pub content: Bytes,
 }
 
@@ -75,7 +75,8 @@ pub struct StreamEnds {
     pub first: u64,
     /// Number of the last message; 0 before the first.
     pub last: u64,
-    /// Differs, if the last message is another one that has the number again, after the stream has forgotten.
+    /// A stamp of the last message. It differs if the stream has forgotten messages and another message has got the
+    /// same number.
     pub stamp: u64,
 }
 
@@ -84,7 +85,7 @@ pub struct StreamEnds {
 pub struct KeyEntry {
     /// The value.
     pub value: Bytes,
-    /// Its revision, which the next conditional write names.
+    /// Revision of the key, which the next conditional write expects.
     pub revision: u64,
 }
 
@@ -99,25 +100,25 @@ pub enum Bucket {
     Writers,
 }
 
-/// What one server of the engine says of itself.
+/// The data that one server of the engine reports about itself.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EngineServer {
     /// Name of the server.
     pub name: String,
     /// Version of the server.
     pub version: String,
-    /// Whether it makes messages durable before it acknowledges them; `None` where it does not say.
+    /// Whether the server makes messages durable before it acknowledges them; `None` where it does not report this.
     pub syncs_always: Option<bool>,
 }
 
-/// What an engine says of a stream.
+/// The state of a stream, as the engine reports it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StreamHealth {
     /// The server that leads the stream; `None` during an election.
     pub leader: Option<String>,
-    /// Number of servers that are to hold it.
+    /// Number of servers that are configured to hold the stream.
     pub replicas: usize,
-    /// Servers that hold it, with how many messages they lag; the leader is not among them.
+    /// Servers that hold the stream, each with the number of messages that it lacks; the leader is not among them.
     pub followers: Vec<(String, u64)>,
     /// Bytes that the stream keeps.
     pub bytes: u64,
@@ -128,7 +129,7 @@ pub trait Engine: Clone + Send + Sync + 'static {
     /// Creates a stream, held by `replicas` servers, unless it exists.
     fn create_stream(&self, stream: &str, replicas: usize) -> impl Future<Output = Result<(), EngineError>> + Send;
 
-    /// Deletes a stream with its messages; one that does not exist is deleted already.
+    /// Deletes a stream with its messages. Succeeds also if the stream does not exist.
     fn delete_stream(&self, stream: &str) -> impl Future<Output = Result<(), EngineError>> + Send;
 
     /// Appends a message if the stream's last message has the number `expected_last`. Returns its number.
@@ -147,7 +148,8 @@ pub trait Engine: Clone + Send + Sync + 'static {
     fn read(&self, stream: &str, sequence: u64) -> impl Future<Output = Result<Option<Message>, EngineError>> + Send;
 
     /// The messages from `sequence` on, up to `bytes_max` bytes but at least one; waits up to `patience` for the first.
-    /// Fewer than there are may come, and none where none came in time. A message with a gap before it is not returned.
+    /// It may return fewer messages than the stream has, and none if none came in time. It does not return a message
+    /// with a gap before it.
     fn read_from(
         &self,
         stream: &str,
@@ -159,10 +161,10 @@ pub trait Engine: Clone + Send + Sync + 'static {
     /// Deletes the messages before `sequence`.
     fn purge_before(&self, stream: &str, sequence: u64) -> impl Future<Output = Result<(), EngineError>> + Send;
 
-    /// What the engine says of a stream.
+    /// The state of a stream, as the engine reports it.
     fn health(&self, stream: &str) -> impl Future<Output = Result<StreamHealth, EngineError>> + Send;
 
-    /// The servers that answer.
+    /// The servers that reply.
     fn servers(&self) -> impl Future<Output = Result<Vec<EngineServer>, EngineError>> + Send;
 
     /// Creates the buckets, held by `replicas` servers, unless they exist.
@@ -171,7 +173,7 @@ pub trait Engine: Clone + Send + Sync + 'static {
     /// The value of a key, as the leader has it.
     fn get(&self, bucket: Bucket, key: &str) -> impl Future<Output = Result<Option<KeyEntry>, EngineError>> + Send;
 
-    /// All keys of a bucket with their values. Values may be a little old.
+    /// All keys of a bucket with their values. The values may be slightly out of date.
     fn list(&self, bucket: Bucket) -> impl Future<Output = Result<Vec<(String, KeyEntry)>, EngineError>> + Send;
 
     /// Sets a key if its revision is `expected`; 0: if it does not exist. Returns the new revision.
@@ -183,7 +185,7 @@ pub trait Engine: Clone + Send + Sync + 'static {
         value: Bytes,
     ) -> impl Future<Output = Result<u64, SetError>> + Send;
 
-    /// Sets a key, whatever it was.
+    /// Sets a key without a condition.
     fn set(&self, bucket: Bucket, key: &str, value: Bytes) -> impl Future<Output = Result<u64, EngineError>> + Send;
 
     /// Deletes a key if its revision is `expected`.

@@ -1,5 +1,5 @@
-//! The lease of a map: a hint who writes it. Who holds it raises its counter; who has seen no change for long enough by
-//! its own clock may take it.
+//! The lease of a map is a hint: it names the writer of the map. The holder raises the counter. A daemon that has seen
+//! no change for long enough by its own clock may take the lease.
 //!
 //! Invariant: a wrong lease costs time, never data: the condition of the append decides who writes.
 
@@ -14,40 +14,40 @@ use crate::engine::KeyEntry;
 /// The value of a lease.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lease {
-    /// The daemon that has it; empty once it is given back.
+    /// The daemon that holds the lease; empty once it is given back.
     pub writer: String,
-    /// The epoch in which the daemon writes, or the last one.
+    /// The epoch in which the daemon writes; in a lease that was given back, the last epoch.
     pub epoch: u64,
-    /// Counts its renewals.
+    /// Number of renewals.
     pub counter: u64,
-    /// The daemon that is to take it, where the writer hands over. While the writer still has it, this is an
-    /// announcement: the successor looks at the lease more often.
+    /// The daemon that takes the lease next, where the writer hands over. While the writer still has the lease, this is
+    /// an announcement: the successor then reads the lease more often.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub successor: Option<String>,
 }
 
 impl Lease {
-    /// As a value of a key.
+    /// Encodes the lease as the value of a key.
     #[must_use]
     pub fn encode(&self) -> Bytes {
         serde_json::to_vec(self).unwrap_or_default().into()
     }
 
-    /// From the value of a key; a value that cannot be read counts as a lease of nobody.
+    /// Decodes the value of a key; a value that cannot be read counts as a lease of nobody.
     #[must_use]
     pub fn decode(value: &[u8]) -> Lease {
         serde_json::from_slice(value).unwrap_or_default()
     }
 }
 
-/// What a daemon has seen of a lease.
+/// The last state of a lease that a daemon has read.
 #[derive(Debug, Default)]
 pub struct LeaseWatch {
     seen: Option<(u64, Lease, Instant)>,
 }
 
 impl LeaseWatch {
-    /// Takes what the engine says at `now`; `None`: there is no lease.
+    /// Records the lease that the engine returned at `now`; `None`: there is no lease.
     pub fn look(&mut self, entry: Option<&KeyEntry>, now: Instant) {
         let revision = entry.map_or(0, |entry| entry.revision);
         if self.seen.as_ref().is_none_or(|(seen, ..)| *seen != revision) {
@@ -56,12 +56,12 @@ impl LeaseWatch {
         }
     }
 
-    /// Forgets it: what happened meanwhile is not known.
+    /// Forgets the lease, because it may have changed meanwhile.
     pub fn forget(&mut self) {
         self.seen = None;
     }
 
-    /// The lease as it was seen last, with its revision.
+    /// The lease as it was read last, with its revision.
     #[must_use]
     pub fn lease(&self) -> Option<(u64, &Lease)> {
         self.seen.as_ref().map(|(revision, lease, _)| (*revision, lease))
@@ -74,8 +74,8 @@ impl LeaseWatch {
         successor == Some(member)
     }
 
-    /// The revision on which a daemon may take the lease: it is given back, to this daemon or to any, or nobody has
-    /// renewed it for `patience`.
+    /// The revision on which a daemon may take the lease: the holder has given it back, to this daemon or to any, or
+    /// nobody has renewed it for `patience`.
     #[must_use]
     pub fn may_take(&self, member: &str, patience: Duration, now: Instant) -> Option<u64> {
         let (revision, lease, since) = self.seen.as_ref()?;

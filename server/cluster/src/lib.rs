@@ -1,10 +1,11 @@
 //! Maps that outlive a machine: the log of a map is shared through an engine, one daemon writes it at a time, and the
 //! others follow it.
 //!
-//! [`replica`] is a map of a cluster as one daemon has it. [`engine`] is what an engine must be able to do. This crate
-//! alone names the client library of one.
+//! [`replica`] is a map of a cluster as one daemon has it. [`engine`] is the interface that an engine must implement.
+//! No other crate uses the client library of an engine.
 //!
-//! Invariant: consensus is the engine's. What is acknowledged is on the engine's quorum and on the writer's own disk.
+//! Invariant: the engine provides consensus. An acknowledged record is on the engine's quorum and on the writer's own
+//! disk.
 
 pub mod assignment;
 pub mod catalogue;

@@ -1,7 +1,8 @@
-//! The members of a cluster, as one daemon sees them: it reports itself, and looks at the reports of others.
+//! The members of a cluster, as one daemon sees them. The daemon publishes its own report and reads the reports of the
+//! others.
 //!
-//! Invariant: whether a member is alive is judged by this daemon's own clock and by changes of the report, never by
-//! times that others write.
+//! Invariant: a daemon judges by its own clock and by changes of the report whether a member is alive, never by times
+//! that others write.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -16,40 +17,41 @@ use crate::{
     member::MemberReport,
 };
 
-/// How often a member reports itself.
+/// Interval at which a member publishes its report.
 pub const REPORT_EVERY: Duration = Duration::from_millis(750);
-/// A member whose report has not changed for so long counts as gone.
+/// A member whose report has not changed for this time counts as gone.
 pub const GONE_AFTER: Duration = Duration::from_secs(5);
-/// A daemon that finds another one under its name within so many of its first reports is the newer one.
+/// If a daemon sees foreign reports under its name before it has published this number of reports, it is the newer of
+/// the two daemons.
 const FIRST_REPORTS: u64 = 8;
-/// So many reports of the other daemon are needed: one may have been on its way when this daemon was started again.
+/// Number of foreign reports that are needed: a single one may come from this daemon itself, sent before its restart.
 const FOREIGN_REPORTS: u32 = 2;
 
 /// A member, as this daemon sees it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Member {
-    /// What it says of itself.
+    /// The report of the member.
     pub report: MemberReport,
-    /// Whether its report has changed lately, or is new to this daemon.
+    /// Whether the member's report has changed lately, or is new to this daemon.
     pub is_alive: bool,
-    /// Time since its report changed, or since this daemon saw it first.
+    /// Time since the member's report changed, or since this daemon saw it first.
     pub unchanged_for: Duration,
 }
 
 /// All members by name.
 pub type Members = BTreeMap<String, Member>;
 
-/// What this daemon knows of the members.
+/// The members as this daemon sees them.
 #[derive(Clone, Debug)]
 pub struct MembersView {
     /// The members as they were read last.
     pub members: Members,
-    /// Why they cannot be read now.
+    /// The reason why the members cannot be read now.
     pub trouble: Option<EngineError>,
 }
 
 impl Default for MembersView {
-    /// Before the first attempt.
+    /// The view before the first read.
     fn default() -> MembersView {
         let trouble = EngineError::Unavailable("the members have not been read yet".to_owned());
         MembersView { members: Members::new(), trouble: Some(trouble) }
@@ -61,7 +63,7 @@ impl Default for MembersView {
 #[error("another running daemon is member {0:?} of the cluster: give each daemon a name of its own (cluster.member)")]
 pub struct NameTaken(pub String);
 
-/// Those that may hold maps.
+/// The members that may hold maps.
 #[must_use]
 pub fn candidates(members: &Members) -> Vec<Candidate> {
     let usable = |(_, member): &(&String, &Member)| member.is_alive && !member.report.draining;
@@ -70,8 +72,8 @@ pub fn candidates(members: &Members) -> Vec<Candidate> {
     members.iter().filter(usable).map(candidate).collect()
 }
 
-/// The last record of a map that the checkpoints of two members cover, of one member where a single one is to hold a
-/// map (`replicas` is 1); 0: none. A member that is gone covers nothing, and may come back without its disk.
+/// The last record of a map that the checkpoints of two members cover, or of one member where only one holds a map
+/// (`replicas` is 1); 0: none. A member that is gone covers nothing, and may come back without its disk.
 #[must_use]
 pub fn covered(members: &Members, uid: u64, replicas: usize) -> u64 {
     let alive = members.values().filter(|member| member.is_alive);
@@ -102,7 +104,7 @@ impl Judgement {
     }
 }
 
-/// The report of a member that the engine has; `None`: it has none that can be read.
+/// The report of a member that the engine has; `None`: there is no report, or it cannot be read.
 ///
 /// # Errors
 /// [`EngineError`].
@@ -111,9 +113,9 @@ pub async fn last_report<E: Engine>(engine: &E, name: &str) -> Result<Option<Mem
     Ok(entry.and_then(|entry| MemberReport::decode(&entry.value)))
 }
 
-/// What is found where a member reports itself.
+/// The result of an exchange of reports.
 struct Exchange {
-    /// The reports of all members as they were before.
+    /// The reports of all members before the new report.
     reports: Vec<(String, MemberReport)>,
     /// Whether another daemon has reported itself under the name since the last report.
     has_foreign: bool,
@@ -121,7 +123,8 @@ struct Exchange {
     revision: u64,
 }
 
-/// Gives the reports of all members as they were, and reports this daemon, whose last report has the revision `last`.
+/// Returns the reports of all members as they were, and publishes the report of this daemon, whose last report has the
+/// revision `last`.
 async fn exchange<E: Engine>(
     engine: &E,
     name: &str,
@@ -130,8 +133,8 @@ async fn exchange<E: Engine>(
 ) -> Result<Exchange, EngineError> {
     let entries = engine.list(Bucket::Members).await?;
     let revision = engine.set(Bucket::Members, name, report.encode()).await?;
-    // A server that lags, or whose disk was set back, shows what this daemon has reported before its start: that is
-    // older.
+    // A server that lags, or whose disk was set back, returns a report that this daemon published before its start.
+    // Such a report has an older revision.
     let is_newer = |revision: u64| last.is_some_and(|last| revision > last);
     let read = |(name, entry): (String, KeyEntry)| Some((name, entry.revision, MemberReport::decode(&entry.value)?));
     let read: Vec<(String, u64, MemberReport)> = entries.into_iter().filter_map(read).collect();
@@ -143,8 +146,8 @@ async fn exchange<E: Engine>(
     Ok(Exchange { reports, has_foreign, revision })
 }
 
-/// Reports this daemon and looks at the others. `report` is asked for each report; `sender` gets what is known of the
-/// members. Returns only where this daemon has started under the name of another one that runs.
+/// Publishes the reports of this daemon and reads those of the others. `report` makes each report; `sender` receives
+/// the view of the members. Returns only where this daemon has started under the name of another one that runs.
 pub async fn run<E: Engine>(
     engine: E,
     name: String,
@@ -168,7 +171,7 @@ pub async fn run<E: Engine>(
                 sender.send_replace(MembersView { members, trouble: None });
             }
             Err(error) => {
-                // For as long as nothing is read, nobody can be seen to report anything new.
+                // While nothing can be read, this daemon cannot see whether the other members report anything new.
                 judgement = Judgement::default();
                 sender.send_modify(|view| view.trouble = Some(error));
             }
@@ -215,7 +218,7 @@ mod tests {
         let later = judgement.judge(both(2, 1), start + GONE_AFTER);
         assert!(later["a"].is_alive && !later["b"].is_alive);
         assert_eq!(["a", "b"].map(|name| later[name].unchanged_for), [Duration::ZERO, GONE_AFTER]);
-        // A restart begins to count anew.
+        // A restart begins the count anew.
         let boot = MemberReport { boot: 9, ..report(1) };
         let back = judgement.judge(vec![("b".to_owned(), boot)], start + GONE_AFTER);
         assert!(back["b"].is_alive);

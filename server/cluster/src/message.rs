@@ -1,10 +1,10 @@
-//! Groups of records as messages of a stream. A group that is longer than a message may be goes in parts.
+//! Groups of records as messages of a stream. A group that is longer than a message is split into parts.
 //!
 //! A message is a header of [`HEADER_BYTES`] bytes and a part of the frames. All numbers are little-endian: magic 4,
 //! version u8, zero u8, part u16, number of parts u16, zero u16, map u64, epoch u64, first position u64, chain before
 //! u32, number of records u32, chain after u32, CRC-32C of the part u32, zero u32, CRC-32C of the header before u32.
 //!
-//! Invariant: what is decoded has valid checksums and numbers that can follow each other. The layout is part of the
+//! Invariant: a decoded part has valid checksums and numbers that can follow each other. The layout is part of the
 //! format of the shared log: it changes with [`VERSION`] only.
 
 use bytes::{BufMut as _, Bytes, BytesMut};
@@ -28,20 +28,20 @@ pub struct GroupPart {
     pub map: u64,
     /// The epoch of the writer that appended it.
     pub epoch: u64,
-    /// Which part it is, from 0.
+    /// Index of the part in the group, from 0.
     pub part: u16,
     /// Number of parts.
     pub parts: u16,
-    /// Where the group begins.
+    /// The point at which the group begins.
     pub before: LogPoint,
-    /// Where the group ends.
+    /// The point at which the group ends.
     pub after: LogPoint,
-    /// The part's share of the frames.
+    /// The frames that this part contains.
     pub frames: Bytes,
 }
 
 impl GroupPart {
-    /// Whether the group is complete with it.
+    /// Whether this part is the last one of its group.
     #[must_use]
     pub fn is_last(&self) -> bool {
         self.part + 1 == self.parts
@@ -50,7 +50,7 @@ impl GroupPart {
     /// Reads a message; `None` for one that tidemap has not written.
     ///
     /// # Errors
-    /// What is wrong with a message of tidemap.
+    /// The fault of a message that tidemap has written.
     pub fn decode(message: &Bytes) -> Result<Option<GroupPart>, &'static str> {
         if message.get(..MAGIC.len()) != Some(&MAGIC) {
             return Ok(None);
@@ -119,15 +119,15 @@ pub fn encode(group: &RecordGroup, map: u64, epoch: u64) -> Vec<Bytes> {
     group.frames.chunks(PART_BYTES).enumerate().map(message).collect()
 }
 
-/// The parts of a group that have come so far.
+/// The parts of a group that have arrived so far.
 #[derive(Debug, Default)]
 pub struct Assembly {
     parts: Vec<GroupPart>,
 }
 
 impl Assembly {
-    /// Takes the next part; gives the group when it is complete. A part that does not continue the last ones begins
-    /// anew: the group before was never completed, because its writer was deposed.
+    /// Takes the next part; returns the group when it is complete. A part that does not continue the parts before it
+    /// begins a new group: the group before it was never completed, because its writer was deposed.
     pub fn push(&mut self, part: GroupPart) -> Option<RecordGroup> {
         let continues = self.parts.last().is_some_and(|last| {
             (last.epoch, last.parts, last.before, last.after, last.part + 1)
@@ -192,7 +192,7 @@ mod tests {
         for at in 0..message.len() {
             let mut changed = message.to_vec();
             changed[at] ^= 0x10;
-            // Without its first bytes it is no message of tidemap.
+            // A message without these first bytes is not a message of tidemap.
             let is_read = |message: &Bytes| GroupPart::decode(message).is_ok_and(|part| part.is_some());
             assert!(!is_read(&Bytes::from(changed)), "byte {at}");
             assert!(!is_read(&message.slice(..at)), "cut at {at}");

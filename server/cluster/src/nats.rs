@@ -3,11 +3,11 @@
 //! Each stream is a JetStream stream of one subject; each bucket is a key-value bucket with a history of one. Appends
 //! carry the number of the last message that they expect, and writes of keys the revision.
 //!
-//! Reads are answered by the server that takes itself for the leader. One that has just been cut off from the others,
-//! or stood still, does so until it notices: such a read may miss the newest writes. The quorum checks conditions.
+//! The server that believes to be the leader serves the reads. A server that has just been cut off from the others, or
+//! was frozen, believes so until it notices: its reads may miss the newest writes. The quorum checks the conditions.
 //!
-//! Invariant: what a reply does not say is not assumed. A request that may have reached a server and has no reply is
-//! [`EngineError::Unknown`].
+//! Invariant: nothing is assumed that a reply does not contain. A request that may have reached a server and has no
+//! reply is [`EngineError::Unknown`].
 
 mod calls;
 mod check;
@@ -48,7 +48,7 @@ use crate::engine::{
 /// Room for headers above the content of a message.
 const HEADER_BYTES_MAX: usize = 1024;
 
-/// How long the creation or deletion of a stream may take: the servers elect its leader meanwhile.
+/// Time limit for the creation or deletion of a stream: the servers elect its leader meanwhile.
 const ADMIN_PATIENCE: Duration = Duration::from_secs(10);
 
 /// A connection to NATS JetStream. Clones share it, but each follows streams on its own.
@@ -73,7 +73,7 @@ impl NatsEngine {
         Ok(Self { calls, settings: Arc::new(settings), followed: FollowedStreams::default() })
     }
 
-    /// The name of a stream in JetStream, where several clusters share one engine.
+    /// The name of a stream in JetStream. It keeps several clusters apart that share one engine.
     fn stream_name(&self, stream: &str) -> String {
         format!("{}_{stream}", self.settings.cluster)
     }
@@ -82,16 +82,16 @@ impl NatsEngine {
         format!("{}.{stream}", self.settings.cluster)
     }
 
-    /// What JetStream says of a stream or of a bucket's stream, by its name there.
+    /// The state of a stream or of a bucket's stream, by its name in JetStream.
     async fn info(&self, name: &str) -> Result<Info, EngineError> {
         Ok(self.calls.api(&format!("STREAM.INFO.{name}"), &json!({}), self.settings.request_time_out).await?)
     }
 
-    /// Creates a stream, and checks that it is what was asked for.
+    /// Creates a stream, and checks that it has the requested configuration.
     async fn create(&self, config: &Config) -> Result<(), EngineError> {
         let api = format!("STREAM.CREATE.{}", config.name);
         let info = match self.calls.api::<Info>(&api, config, ADMIN_PATIENCE).await {
-            // It exists with other limits.
+            // The stream exists with other limits.
             Err(CallError::Api(error)) if error.error_code() == jetstream::ErrorCode::STREAM_NAME_EXIST => {
                 self.info(&config.name).await?
             }
@@ -139,7 +139,7 @@ impl NatsEngine {
             return Err(EngineError::Refused(format!("a message of {} bytes is too large", content.len())));
         }
         match self.calls.publish(subject, headers, content, patience).await {
-            // Nobody listens to the subject: there is no stream, or it has no leader.
+            // No server listens to the subject: there is no stream, or it has no leader.
             Err(EngineError::Unavailable(reason)) => match self.info(name).await {
                 Err(error @ EngineError::Missing(_)) => Err(error),
                 _ => Err(EngineError::Unavailable(reason)),
@@ -192,7 +192,7 @@ impl Engine for NatsEngine {
 
     async fn ends(&self, stream: &str) -> Result<StreamEnds, EngineError> {
         let info = self.info(&self.stream_name(stream)).await?;
-        // Where most servers are lost, one that is left answers for the stream without knowing what the others have.
+        // If most servers are lost, a server that is left replies for the stream without the messages of the others.
         let has_leader = info.cluster.as_ref().is_some_and(|cluster| cluster.leader.is_some());
         if info.config.num_replicas > 1 && !has_leader {
             return Err(EngineError::Unavailable(format!("stream {stream} has no leader")));
@@ -216,7 +216,7 @@ impl Engine for NatsEngine {
     }
 
     async fn purge_before(&self, stream: &str, sequence: u64) -> Result<(), EngineError> {
-        // JetStream takes a number behind the end as an order to go on from there.
+        // JetStream goes on from the end where a request gives a number behind the end.
         let end = self.ends(stream).await?.last + 1;
         let api = format!("STREAM.PURGE.{}", self.stream_name(stream));
         let request = json!({ "seq": sequence.min(end) });

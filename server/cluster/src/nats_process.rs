@@ -1,6 +1,7 @@
-//! Servers of NATS as child processes, for tests: on free ports of this machine, each with a folder of its own.
+//! NATS servers as child processes, for tests. They use free ports of this machine, and each has its own folder.
 //!
-//! The program is what TIDEMAP_NATS_SERVER names, or what `deploy/nats-server.sh` has put into `target/nats`.
+//! TIDEMAP_NATS_SERVER names the program; otherwise it is the one that `deploy/nats-server.sh` has put into
+//! `target/nats`.
 //!
 //! Invariant: no server and no folder outlives the value that started it.
 
@@ -21,10 +22,10 @@ use crate::{
     nats::{NatsCredentials, NatsEngine, NatsSettings, NatsTls},
 };
 
-/// How long servers may take to start and to elect.
+/// Time limit for the servers to start and to elect leaders.
 const START_PATIENCE: Duration = Duration::from_secs(60);
 
-/// The program `nats-server`, or why there is none.
+/// The path of `nats-server`, or the reason why there is none.
 pub fn nats_server() -> Result<PathBuf, String> {
     let path = std::env::var_os("TIDEMAP_NATS_SERVER")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/nats/nats-server"), PathBuf::from);
@@ -44,12 +45,12 @@ pub struct NatsServers {
     program: PathBuf,
     folder: TempDir,
     servers: Vec<NatsServer>,
-    /// Whether they make messages durable before they acknowledge them.
+    /// Whether the servers make messages durable before they acknowledge them.
     is_synced: bool,
     security: Option<NatsSecurity>,
 }
 
-/// How servers know each other and their clients, in place of passwords without encryption.
+/// The credentials with which servers and clients authenticate each other, instead of passwords without encryption.
 #[derive(Clone, Debug)]
 pub struct NatsSecurity {
     /// The servers' certificate and key.
@@ -58,11 +59,11 @@ pub struct NatsSecurity {
     pub client: NatsTls,
     /// The public nkey of the client.
     pub nkey: String,
-    /// The file with its seed.
+    /// The file with the seed of the client's nkey.
     pub seed: PathBuf,
 }
 
-/// Ports that nobody uses now.
+/// Ports that are free now.
 fn free_ports(count: usize) -> io::Result<Vec<u16>> {
     let listeners: Vec<TcpListener> =
         (0..count).map(|_| TcpListener::bind(("127.0.0.1", 0))).collect::<io::Result<_>>()?;
@@ -70,8 +71,8 @@ fn free_ports(count: usize) -> io::Result<Vec<u16>> {
 }
 
 impl NatsServers {
-    /// Starts some servers, which sync each message, and waits until they hold streams. `Err` says why a test that
-    /// needs them is skipped; a server that does not start is a panic.
+    /// Starts some servers, which sync each message, and waits until they hold streams. `Err` contains the reason why a
+    /// test that needs them is skipped. Panics if a server does not start.
     pub async fn start(count: usize) -> Result<Self, String> {
         let servers = Self::new(count, true, None)?;
         servers.wait().await;
@@ -85,7 +86,7 @@ impl NatsServers {
         Ok(servers)
     }
 
-    /// Starts servers that want TLS and an nkey of their clients.
+    /// Starts servers that require TLS and an nkey from their clients.
     pub async fn start_secured(count: usize, security: NatsSecurity) -> Result<Self, String> {
         let servers = Self::new(count, true, Some(security))?;
         servers.wait().await;
@@ -117,7 +118,7 @@ impl NatsServers {
         NatsSettings { credentials, tls: Some(security.client.clone()), ..settings }
     }
 
-    /// Settings of a user. `guest` may read, and not append.
+    /// Settings of a user. The user `guest` may read, but not append.
     pub fn settings_as(&self, user: &str) -> NatsSettings {
         let url = |server: &NatsServer| format!("nats://{user}:{user}@127.0.0.1:{}", server.port);
         NatsSettings::new(self.servers.iter().map(url).collect())
@@ -136,13 +137,13 @@ impl NatsServers {
     /// Ends a server with SIGKILL.
     pub fn kill(&mut self, index: usize) {
         if let Some(mut child) = self.servers[index].child.take() {
-            // It may have ended by itself.
+            // The server may have ended by itself.
             drop(child.kill());
             drop(child.wait());
         }
     }
 
-    /// Starts a server that was killed, with what it has on its disk.
+    /// Starts a server that was killed, with the content of its disk.
     pub fn run(&mut self, index: usize) {
         let server = &self.servers[index];
         let base = self.folder.path().join(&server.name);
@@ -162,19 +163,19 @@ impl NatsServers {
         self.servers[index].child = Some(child);
     }
 
-    /// Keeps what the servers, which do not run, have on their disks.
+    /// Saves the content of the disks of the servers, which do not run.
     pub fn save(&self) {
         self.servers.iter().for_each(|server| self.copy(&server.name, "data", "image"));
     }
 
-    /// Sets the disks of the servers, which do not run, back to what was kept.
+    /// Sets the disks of the servers, which do not run, back to the saved content.
     pub fn set_back(&self) {
         self.servers.iter().for_each(|server| self.copy(&server.name, "image", "data"));
     }
 
     fn copy(&self, server: &str, from: &str, to: &str) {
         let base = self.folder.path().join(server);
-        // It may not be there.
+        // The folder may not exist.
         drop(fs::remove_dir_all(base.join(to)));
         let status = Command::new("cp").arg("-a").arg(base.join(from)).arg(base.join(to)).status();
         assert!(status.is_ok_and(|status| status.success()), "cp {from} {to} in {}", base.display());
@@ -188,7 +189,7 @@ impl NatsServers {
         }
     }
 
-    /// What a server has logged.
+    /// The log of a server.
     pub fn log(&self, index: usize) -> String {
         fs::read_to_string(self.folder.path().join(&self.servers[index].name).join("log")).unwrap_or_default()
     }

@@ -1,4 +1,4 @@
-//! A race for the positions of a stream, which shows whether an engine lets two writers append after one message.
+//! A race for the positions of a stream, which shows whether an engine lets two writers append after the same message.
 //!
 //! Invariant: only what the engine has acknowledged counts. The stream is the race's own and is deleted at its end.
 
@@ -18,39 +18,39 @@ use tokio::{
 
 use crate::engine::{AppendIfError, Engine, EngineError};
 
-/// How long one append may take.
+/// Time limit of one append.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Pause after an error that may pass.
 const PAUSE: Duration = Duration::from_millis(50);
-/// How often the stream's deletion is tried.
+/// Number of attempts to delete the stream.
 const DELETIONS: usize = 3;
 /// Bytes that are read at once.
 const READ_BYTES: usize = 1 << 20;
-/// How long the messages may take to be read again: a new leader may have to be elected.
+/// Time limit for reading the messages again: a new leader may have to be elected.
 const READ_WITHIN: Duration = Duration::from_secs(30);
 
-/// How a race is run.
+/// Settings of a race.
 #[derive(Clone, Debug)]
 pub struct RaceTerms {
     /// Name of the stream, which nobody else uses.
     pub stream: String,
     /// Servers that hold it.
     pub replicas: usize,
-    /// How long the writers append.
+    /// Time for which the writers append.
     pub lasts: Duration,
 }
 
-/// What a race has shown.
+/// The result of a race.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RaceOutcome {
     /// Appends that were acknowledged.
     pub acknowledged: u64,
     /// Appends that were refused, because another writer was first.
     pub refused: u64,
-    /// Appends without an answer. They may be in the stream.
+    /// Appends without a reply. They may be in the stream.
     pub unanswered: u64,
-    /// Positions that two writers were given: both were told that theirs follows the same message, or has the same
-    /// number.
+    /// Positions that the engine gave to two writers: it acknowledged to both that their message follows the same
+    /// message, or has the same number.
     pub twice: u64,
     /// Acknowledged messages that the stream does not have at their number.
     pub missing: u64,
@@ -79,11 +79,11 @@ struct RaceWriter {
     unanswered: u64,
 }
 
-/// Lets writers, each with an engine of its own, append to a new stream as fast as they can. `None`: it was
+/// Lets writers, each with an engine of its own, append to a new stream as fast as they can. `None`: the race was
 /// `stopped` before its end.
 ///
 /// # Errors
-/// The stream could not be made or read, or the engine refuses appends.
+/// The stream could not be created or read, or the engine refuses appends.
 pub async fn race<E: Engine>(
     engines: Vec<E>,
     terms: &RaceTerms,
@@ -95,7 +95,7 @@ pub async fn race<E: Engine>(
         () = stopped => Ok(None),
     };
     if let Err(error) = delete(&engine, &terms.stream).await {
-        // What was found out counts all the same.
+        // The result of the race is valid all the same.
         tracing::warn!(stream = terms.stream, %error, "the stream of the check is not deleted");
     }
     outcome
@@ -133,7 +133,7 @@ async fn run<E: Engine>(engine: &E, engines: Vec<E>, terms: &RaceTerms) -> Resul
     Ok(outcome)
 }
 
-/// Appends after the last message that this writer knows of, until the time is over.
+/// Appends after the last message that this writer has seen, until the time is over.
 async fn write<E: Engine>(engine: E, stream: String, number: usize, until: Instant) -> Result<RaceWriter, EngineError> {
     let mut writer = RaceWriter::default();
     let mut expected = None;
@@ -167,7 +167,7 @@ async fn write<E: Engine>(engine: E, stream: String, number: usize, until: Insta
     Ok(writer)
 }
 
-/// Waits after an error that may pass; gives the others.
+/// Waits after an error that may pass; returns the other errors.
 async fn pass(error: EngineError) -> Result<(), EngineError> {
     match error {
         EngineError::Unknown(_) | EngineError::Unavailable(_) => {
@@ -178,14 +178,14 @@ async fn pass(error: EngineError) -> Result<(), EngineError> {
     }
 }
 
-/// How many appends were acknowledged at a position that another one had too.
+/// Number of appends that were acknowledged at a position that another append has too.
 fn taken_twice(appends: &[RaceAppend]) -> u64 {
     let (mut befores, mut sequences) = (BTreeSet::new(), BTreeSet::new());
     let is_second = |append: &&RaceAppend| !befores.insert(append.expected) | !sequences.insert(append.sequence);
     appends.iter().filter(is_second).count() as u64
 }
 
-/// How many acknowledged messages the stream does not have at their number.
+/// Number of acknowledged messages that the stream does not have at their number.
 async fn missing<E: Engine>(engine: &E, stream: &str, appends: Vec<RaceAppend>) -> Result<u64, EngineError> {
     let mut acknowledged: BTreeMap<u64, Vec<Bytes>> = BTreeMap::new();
     for append in appends {

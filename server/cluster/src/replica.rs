@@ -2,7 +2,7 @@
 //!
 //! It compares its own log with the shared one, follows it, becomes its writer and stops being it ([`driver`]).
 //!
-//! Invariant: see [`events`]: the thread of the map hears of everything that is in the shared log, in its order, once.
+//! Invariant: see [`events`]: the thread of the map receives everything that is in the shared log, in its order, once.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ use shared_log::LogState;
 pub use shared_log::SharedLog;
 pub use shorten::{Shortening, shorten};
 
-/// The handle of a replica. Dropped, the replica stops.
+/// The handle of a replica. The replica stops when it is dropped.
 pub struct ReplicaHandle {
     orders: mpsc::UnboundedSender<Order>,
     stop: watch::Sender<bool>,
@@ -43,20 +43,20 @@ pub struct ReplicaHandle {
 }
 
 impl ReplicaHandle {
-    /// From now on the replica may become the writer after so many others; `None`: it may not.
+    /// Sets the rank after which the replica may become the writer; `None`: it may not become the writer.
     pub fn set_candidacy(&self, rank: Option<u32>) {
         self.candidacy.send_if_modified(|known| std::mem::replace(known, rank) != rank);
     }
 
-    /// Gives the log to another daemon, or to any; gives whether this replica was the writer. It is asked at once, not
-    /// when the answer is awaited.
+    /// Hands the log over to another daemon, or to any; returns whether this replica was the writer. The order is sent
+    /// at once, not when the result is awaited.
     pub fn hand_over(&self, successor: Option<String>) -> impl Future<Output = bool> + Send + use<> {
         let (done, answer) = oneshot::channel();
         let asked = self.orders.send(Order::HandOver(successor, done));
         async move { asked.is_ok() && answer.await.unwrap_or(false) }
     }
 
-    /// Ends the replica; [`Replica::run`] returns when everything in flight is answered.
+    /// Ends the replica; [`Replica::run`] returns when everything in flight has been completed.
     pub fn stop(&self) {
         self.stop.send_replace(true);
         let _ = self.orders.send(Order::Stop);
@@ -69,7 +69,7 @@ impl Drop for ReplicaHandle {
     }
 }
 
-/// A replica that is to be run.
+/// A replica that is ready to run.
 pub struct Replica<E: Engine>(Driver<E>);
 
 impl<E: Engine> Replica<E> {

@@ -1,8 +1,7 @@
-//! A simulated engine, for tests: three servers, clients with names, and faults that a seed chooses or a test calls
-//! for.
+//! A simulated engine, for tests: three servers, clients with names, and faults that a seed draws or a test requests.
 //!
-//! Each call sends a request to a task of its own, so that the request goes on where its sender gives up, as on a wire.
-//! Under tokio's paused clock in a runtime of one thread everything follows from the seed.
+//! Each call sends a request to a task of its own, so that the request goes on when its sender gives up, as in a
+//! network. Under tokio's paused clock in a runtime of one thread everything follows from the seed.
 //!
 //! Invariant: where no amnesia and no split occurred, the engine keeps every promise of [`crate::engine`].
 
@@ -35,12 +34,12 @@ use crate::engine::{
     StreamEnds, StreamHealth,
 };
 
-/// How long a call waits that takes no patience.
+/// Patience of the calls that take none as an argument.
 pub const PATIENCE: Duration = Duration::from_millis(500);
 
 struct SharedWorld {
     world: Mutex<EngineWorld>,
-    /// Wakes who waits for messages, or to be thawed.
+    /// Wakes the calls that wait for messages, or until they are thawed.
     changed: Notify,
 }
 
@@ -50,14 +49,14 @@ impl SharedWorld {
     }
 }
 
-/// The simulated engine from outside: makes clients, calls for faults, and shows what happened.
+/// The simulated engine from outside: creates clients, requests faults, and shows the history.
 #[derive(Clone)]
 pub struct Simulation {
     shared: Arc<SharedWorld>,
 }
 
 impl Simulation {
-    /// A world with its faults. Needs a runtime of tokio, whose clock starts it.
+    /// A world with its faults. Needs a runtime of tokio, whose clock it starts from.
     pub fn new(seed: u64, faults: EngineFaults) -> Self {
         let world = Mutex::new(EngineWorld::new(seed, faults));
         Self { shared: Arc::new(SharedWorld { world, changed: Notify::new() }) }
@@ -78,12 +77,12 @@ impl Simulation {
         self.change(|world| world.faults = faults);
     }
 
-    /// Plants defects, or takes them away.
+    /// Plants defects, or removes them.
     pub fn plant(&self, defects: PlantedDefects) {
         self.change(|world| world.defects = defects);
     }
 
-    /// Lets a client's next call meet a fault. Several are met by as many calls.
+    /// Lets the next call of a client have a fault. Several faults go to as many calls, one each.
     pub fn fault_next(&self, client: &str, fault: EngineFault) {
         self.change(|world| world.fault_next(client, fault));
     }
@@ -99,7 +98,7 @@ impl Simulation {
     }
 
     /// Freezes a client as SIGSTOP does: its calls neither begin nor end until [`thaw`](Self::thaw). A request that is
-    /// under way arrives.
+    /// already under way arrives.
     pub fn freeze(&self, client: &str) {
         self.change(|world| world.set_frozen(client, true));
     }
@@ -138,12 +137,12 @@ impl Simulation {
         });
     }
 
-    /// A stream forgets its last messages, and gives their numbers again.
+    /// Lets a stream forget its last messages, and use their numbers again.
     pub fn forget(&self, stream: &str, count: u64) {
         self.change(|world| world.forget(stream, count));
     }
 
-    /// A bucket forgets its last writes.
+    /// Lets a bucket forget its last writes.
     pub fn forget_keys(&self, bucket: Bucket, count: u64) {
         self.change(|world| world.forget(&stream_of(bucket), count));
     }
@@ -154,17 +153,17 @@ impl Simulation {
         self.change(|world| world.split(stream, client, Instant::now() + Duration::from_secs(1 << 30)));
     }
 
-    /// Ends a split: what its client has appended since is forgotten.
+    /// Ends a split: the messages that its client has appended since are forgotten.
     pub fn unite(&self, stream: &str) {
         self.change(|world| world.unite(stream));
     }
 
-    /// Every append that a client was told to have succeeded, in order of time. Forgotten ones are among them.
+    /// All appends that were acknowledged to a client, in order of time. Forgotten ones are among them.
     pub fn acknowledged(&self) -> Vec<Acknowledged> {
         self.shared.world().acknowledged.clone()
     }
 
-    /// What a stream holds now; empty where there is none.
+    /// The current messages of a stream; empty where there is no stream.
     pub fn present(&self, stream: &str) -> Vec<Message> {
         let world = self.shared.world();
         let numbered = world.streams.get(stream).map(|stream| &stream.numbered);
@@ -176,7 +175,7 @@ impl Simulation {
         self.shared.world().history.clone()
     }
 
-    /// How often each fault has occurred.
+    /// Number of times that each fault has occurred.
     pub fn counts(&self) -> BTreeMap<EngineFault, usize> {
         self.shared.world().counts.clone()
     }
@@ -206,8 +205,8 @@ impl SimulatedEngine {
         }
     }
 
-    /// Sends a request and waits for its reply. `effect` is asked again after each change until it answers; the last
-    /// time, after `wait`, with `true`.
+    /// Sends a request and waits for its reply. `effect` is called again after each change until it returns a result;
+    /// the last time, after `wait`, with `true`.
     async fn request<T, E>(&self, patience: Duration, wait: Duration, mut effect: E) -> Result<T, EngineError>
     where
         T: Send + 'static,
@@ -286,7 +285,8 @@ impl SimulatedEngine {
             let name = stream_of(bucket);
             let stream = world.led(&name, client)?;
             let newest = stream.seen_by(client).newest(&key);
-            // A deleted key has no revision for who wants to create it, and its own for who names it.
+            // For a client that creates a key, a deleted key has no revision; for a client that names its revision, it
+            // has that one.
             let is_expected = match (expected, newest) {
                 (None, _) | (Some(0), None) => true,
                 (Some(0), Some((_, kept))) => kept.content.is_none(),
@@ -301,7 +301,7 @@ impl SimulatedEngine {
     }
 }
 
-/// The reason of a write that has no condition.
+/// The engine error of a write that has no condition.
 fn unconditional(error: SetError) -> EngineError {
     match error {
         SetError::Engine(error) => error,
@@ -401,7 +401,7 @@ impl Engine for SimulatedEngine {
             }
             (is_last || !messages.is_empty()).then_some(Ok(messages))
         };
-        // The reply of a wait that found nothing must come in time, too.
+        // The reply to a wait without a result must come in time, too.
         let wait = patience.saturating_sub(Duration::from_millis(1));
         let messages = match self.request(patience, wait, effect).await {
             Ok(outcome) => outcome?,

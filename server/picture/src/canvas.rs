@@ -1,6 +1,6 @@
 //! A canvas of pixels, and its PNG file.
 //!
-//! Invariant: three bytes a pixel, rows from the top; there are always as many bytes as width and height say.
+//! Invariant: three bytes a pixel, rows from the top; the number of bytes always fits width and height.
 
 use crate::{Colour, letters};
 
@@ -12,7 +12,7 @@ pub struct Canvas {
     pixels: Vec<u8>,
 }
 
-/// Why a canvas does not become a file.
+/// The reason why a canvas cannot be written as a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the picture cannot be encoded: {0}")]
 pub struct CanvasError(String);
@@ -24,8 +24,8 @@ impl Canvas {
         Self { width, height, pixels: std::iter::repeat_n(colour, count).flatten().collect() }
     }
 
-    /// Rows of cells, the upper one first, each cell a square of `scale` pixels; a last row that is not full is left
-    /// out.
+    /// Draws rows of cells, the upper one first. Each cell is a square of `scale` pixels; a last row that is not full
+    /// is left out.
     pub fn of_cells(columns: usize, cells: impl IntoIterator<Item = Colour>, scale: u32) -> Self {
         let (columns, times) = (columns.max(1), scale.max(1) as usize);
         let mut pixels = Vec::new();

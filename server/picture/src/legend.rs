@@ -1,4 +1,4 @@
-//! What the colours of a picture mean, and its scale.
+//! The legend of a picture: the meaning of its colours, and its scale.
 //!
 //! Invariant: the legend stands below the picture, and neither hides nor changes a pixel of it.
 
@@ -18,16 +18,16 @@ const BAR_MAX: f64 = 240.0;
 /// Colours and their meaning.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LegendRow {
-    /// One colour, or those of a scale from its lowest value to its highest.
+    /// One colour, or the colours of a scale from its lowest value to its highest.
     pub colours: Vec<Colour>,
-    /// What the colours mean.
+    /// The meaning of the colours.
     pub text: String,
 }
 
-/// What stands below a picture of a map.
+/// The legend below a picture of a map.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Legend {
-    /// What the picture shows: the map, the time.
+    /// The subject of the picture: the map, the time.
     pub caption: String,
     /// The colours.
     pub rows: Vec<LegendRow>,
@@ -36,7 +36,7 @@ pub struct Legend {
 }
 
 impl LegendRow {
-    /// A row.
+    /// A row of the legend.
     pub fn new(colours: Vec<Colour>, text: &str) -> Self {
         Self { colours, text: text.to_owned() }
     }
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn the_bar_is_as_long_as_it_says() {
-        // 240 pixels are 12 m, so that the bar has 10 m: 200 pixels.
+        // 240 pixels are 12 m, so the bar has 10 m: 200 pixels.
         let framed = legend().below(&Canvas::new(600, 1, GREEN));
         let y = 1 + GAP + 3 * ROW + LETTER_HEIGHT / 2;
         let inked = (0..GAP + 200).filter(|&x| framed.at([x, y]) == Some(INK)).count();

@@ -1,7 +1,8 @@
-//! The painter of grids: what is known of a cell becomes its colour.
+//! The painter of grids: it colours a cell by its probability and by the value of a layer.
 //!
-//! Invariant: a cell at the map's free level is white or nearly so in every layer, one at its occupied level black or
-//! nearly so, and an unknown one grey: walls are seen in all of them. Layers differ only between.
+//! Invariant: in every layer a cell at the map's free level is white or nearly white, a cell at its occupied level is
+//! black or nearly black, and an unknown cell is grey. So walls are visible in all layers. Layers differ only between
+//! these levels.
 
 use crate::{
     Colour, LegendRow,
@@ -9,24 +10,24 @@ use crate::{
     short,
 };
 
-/// What a picture of a grid shows.
+/// The values that a picture of a grid shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layer {
     /// The probability that a cell is occupied.
     #[default]
     Probability,
-    /// The entropy of that probability, bits.
+    /// The entropy of the probability that a cell is occupied, bits.
     Entropy,
-    /// The probability minus that of another time.
+    /// The probability that a cell is occupied, minus that of another time.
     Difference,
 }
 
 /// A known cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CellPaint {
-    /// The probability that it is occupied.
+    /// The probability that the cell is occupied.
     pub probability: f64,
-    /// What the layer shows of it: that probability, its entropy from 0 to 1 bit, or a difference from -1 to 1.
+    /// The value in the layer: the probability, its entropy from 0 to 1 bit, or a difference from -1 to 1.
     pub value: f64,
 }
 
@@ -39,12 +40,13 @@ pub struct Painter {
 
 impl Painter {
     /// A painter of a layer. `levels`: the probability after a free and after an occupied reading of the map's sensor,
-    /// the first below the second. What always reads free is at the first and white, also where the sensor is poor.
+    /// the first below the second. A cell that is always read free has the first level and is white, also if the sensor
+    /// is poor.
     pub fn new(layer: Layer, levels: (f64, f64)) -> Self {
         Self { layer, levels }
     }
 
-    /// The colour of a cell; `None`: it was never observed.
+    /// The colour of a cell; `None`: the cell was never observed.
     pub fn colour(&self, cell: Option<CellPaint>) -> Colour {
         let Some(CellPaint { probability, value }) = cell else { return UNKNOWN };
         let (free, occupied) = self.levels;
@@ -56,7 +58,7 @@ impl Painter {
         }
     }
 
-    /// What the colours mean: the values of the layer, the map beneath them, and what is not known.
+    /// The meaning of the colours: the values of the layer, the map beneath them, and unknown cells.
     pub fn legend(&self) -> Vec<LegendRow> {
         const STEPS: u8 = 32;
         let steps = (0..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
@@ -117,7 +119,7 @@ mod tests {
         for layer in [Layer::Entropy, Layer::Difference] {
             assert_eq!(paint(layer, 0.0, 0.0), WHITE, "{layer:?}");
             assert!(light(paint(layer, 1.0, 0.0)) < 150, "{layer:?}");
-            // Hardly uncertain or changed, a wall still differs from a free cell.
+            // A wall that is hardly uncertain or changed still differs from a free cell.
             assert!(light(paint(layer, 0.97, 0.2)) + 200 < light(paint(layer, 0.03, 0.2)), "{layer:?}");
         }
     }

@@ -1,7 +1,7 @@
 //! The colours of all pictures: free white, occupied black, unknown grey, as RViz and Nav2 show maps.
 //!
 //! Invariant: a greater probability is darker, and no probability looks unknown, also for people without red or green
-//! cones. `client/web/src/lib/palette.ts` has the same colours; a test holds it equal.
+//! cones. `client/web/src/lib/palette.ts` has the same colours; a test checks that they are equal.
 
 use crate::Colour;
 
@@ -28,9 +28,9 @@ pub(crate) const MUTED: [Colour; 5] = [[255, 255, 255], [236, 230, 244], [172, 1
 
 /// An entropy of one bit.
 pub(crate) const UNCERTAIN: Colour = [0, 122, 156];
-/// A cell that was occupied, and is free.
+/// A cell that was occupied and is free now.
 pub(crate) const FREER: Colour = [0, 114, 178];
-/// A cell that was free, and is occupied.
+/// A cell that was free and is occupied now.
 pub(crate) const FULLER: Colour = [213, 94, 0];
 
 /// The part of the colours of occupancy that can be seen as a line or a disc on white.
@@ -42,14 +42,14 @@ pub fn occupancy(probability: f64) -> Colour {
     mix(&OCCUPANCY, probability)
 }
 
-/// The colour of a line or a disc that stands for a value from 0 to 1: as [`occupancy`], without the colours that white
-/// paper or black ink have.
+/// The colour of a line or a disc that shows a value from 0 to 1. Does the same as [`occupancy`], without the colours
+/// of white paper or black ink.
 pub fn mark(value: f64) -> Colour {
     let [low, high] = MARKS;
     occupancy(low + (high - low) * within(value))
 }
 
-/// Whether a text on this colour is white; else it is black.
+/// Whether a text on this colour is white; otherwise it is black.
 pub fn is_dark([red, green, blue]: Colour) -> bool {
     // Weights of ITU-R BT.601, which suffice here.
     299 * u32::from(red) + 587 * u32::from(green) + 114 * u32::from(blue) < 128_000
@@ -83,7 +83,7 @@ fn mix<const N: usize>(stops: &[Colour; N], share: f64) -> Colour {
 fn blend(from: Colour, to: Colour, share: f64) -> Colour {
     std::array::from_fn(|band| {
         let [from, to] = [from[band], to[band]].map(f64::from);
-        // Half is rounded up, as JavaScript does it.
+        // Halves are rounded up, as in JavaScript.
         (from + (to - from) * share + 0.5).floor() as u8
     })
 }

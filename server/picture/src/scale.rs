@@ -1,4 +1,4 @@
-//! Scales of maps: the bar in metres, and how large a cell is drawn.
+//! Scales of maps: the bar in metres, and the size of a drawn cell.
 //!
 //! Invariant: the length of a bar is 1, 2 or 5 times a power of ten metres.
 
@@ -12,7 +12,7 @@ pub fn fitting_scale(columns: u32, rows: u32) -> u32 {
     (READABLE / columns.max(rows).max(1)).clamp(1, SCALE_MAX)
 }
 
-/// A number with three significant digits, for scales.
+/// Formats a number with three significant digits, for scales.
 pub fn short(number: f64) -> String {
     let rounded: f64 = format!("{number:.2e}").parse().unwrap_or(number);
     let is_plain = rounded == 0.0 || (1e-3..1e6).contains(&rounded.abs());

@@ -1,4 +1,4 @@
-//! Finding a place among several by its landmarks.
+//! Times the search for a place among several by its landmarks.
 //!
 //! Invariant: descriptors are drawn from a fixed seed; half of the features of the picture are landmarks of one node.
 

@@ -1,8 +1,8 @@
-//! How long routes and policies take on maps of streets, with forecasts that change through the day.
+//! Times routes and policies on maps of streets, with forecasts that change through the day.
 //!
 //! `cargo bench -p tidemap-plan --bench route`: routes between far corners of each map, the fastest of some repetitions
-//! of each request, the median and the slowest request, and the certainty of the results. A forecast takes two cosines
-//! for the success and two for the duration, as spectral models of order 2 do.
+//! of each request, the median and the slowest request, and the certainty of the results. A forecast evaluates two
+//! cosines for the success and two for the duration, as spectral models of order 2 do.
 #![allow(clippy::unwrap_used)]
 #![allow(dead_code, reason = "the maps are shared with other benchmarks, which use more of them")]
 
@@ -16,7 +16,7 @@ use tidemap_map::topology::{Edge, NodeId, Topology};
 use tidemap_plan::policy::{PolicyObjective, PolicyOptions, solve_policy};
 use tidemap_plan::route::{EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, RoutePlan, When, plan_routes};
 
-/// Forecasts by a daily and a half-daily rhythm of each edge; with its bounds, or without.
+/// Forecasts by a daily and a half-daily rhythm of each edge, with or without bounds.
 struct Rhythms {
     knows_bounds: bool,
 }

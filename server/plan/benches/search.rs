@@ -1,10 +1,10 @@
-//! The time to find the best order of a search, and the quality of a heuristic one after a second.
+//! Times the search for the best order, and measures the quality of a heuristic order after a second.
 //!
 //! `cargo bench -p tidemap-plan --bench search`: complete requests, shortest times included, on random maps: for each
 //! map the fastest of some repetitions, over the maps the median and the slowest, and the mean processor time of all
 //! runs. `-- large [SECONDS]` instead: maps of 200 nodes, at most the given seconds of processor time (1), five seeds,
-//! against the best known costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` creates these again: one
-//! line per run, the best of as many seeds as fit.
+//! against the best known costs in `search/best.txt`. `-- long SECONDS RUNS [SEED OF THE MAP]` creates these costs
+//! again: one line per run, the best of as many seeds as fit.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../src/testkit.rs"]

@@ -1,4 +1,4 @@
-//! How long a day of tasks takes to plan.
+//! Times the plan of a day of tasks.
 //!
 //! `cargo bench -p tidemap-plan --bench tasks`: 10, 12, 30 and 100 tasks at places in a square, in 96 slots of a
 //! quarter of an hour, half of them with values that change over the day.

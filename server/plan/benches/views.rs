@@ -1,4 +1,4 @@
-//! Views in an office, at one time and over a day, and tours through it.
+//! Times views in an office, at one time and over a day, and tours through it.
 //!
 //! `cargo bench -p tidemap-plan --bench views`. The range of the sensor is 4 m, 360° x 90°, in cells of 0.1 m. "hall"
 //! is an unobstructed view.

@@ -15,7 +15,7 @@ pub const SLOT_NANOS: i64 = 15 * MINUTE_NANOS;
 
 const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 
-/// Why a day cannot be planned.
+/// The reason why a day cannot be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum DayError {
@@ -90,7 +90,7 @@ impl DaySlots {
     /// The slot in which a moment lies; `None` outside the day.
     pub fn slot_at(&self, utc_nanos: i64) -> Option<usize> {
         let is_inside = (self.from_nanos..self.until_nanos).contains(&utc_nanos);
-        // At least 0, and at most the count.
+        // The result is at least 0, and at most the count.
         is_inside.then(|| ((utc_nanos - self.from_nanos) / self.slot_nanos) as usize)
     }
 }
@@ -100,7 +100,7 @@ impl DaySlots {
 pub struct DayRow {
     /// Number of the slot, from 0.
     pub slot: usize,
-    /// Its first instant: UTC, nanoseconds since 1970.
+    /// First instant of the slot: UTC, nanoseconds since 1970.
     pub start_nanos: i64,
     /// Index of the place to visit; `None`: no exploration in this slot.
     pub location: Option<usize>,
@@ -124,7 +124,7 @@ pub fn plan_day(
     budget: Budget,
     seed: u64,
 ) -> Result<Vec<DayRow>, DayError> {
-    // Checked before any gain is computed, because gains may be costly.
+    // The budget is checked before any gain is computed, because gains may be costly.
     budget.visits(slots.count())?;
     let gains = Gains::of(slots.count(), places, |slot, place| gain(slots.middle_nanos(slot), place))?;
     let plan = strategy::schedule(strategy, &gains, budget, seed)?;

@@ -14,7 +14,7 @@ use tidemap_model::models::{FlowModel, Moment};
 pub const NEAR_M: f64 = 1.0;
 /// The greatest distance that counts as near, in cells: the work of a slot grows with its square.
 pub const NEAR_MAX_CELLS: f64 = 20.0;
-/// The flow is taken to be constant so long: five minutes.
+/// The flow is taken to be constant for this time: five minutes.
 const SLOT_NANOS: i64 = 300 * 1_000_000_000;
 /// Number of slots whose densities are kept.
 const SLOTS_MAX: usize = 64;
@@ -61,14 +61,15 @@ impl<'a> Encounters<'a> {
             self.near.clear();
         }
         let (model, near_m) = (self.model, self.near_m);
-        // The middle of the slot, so that it does not matter which time is asked first.
+        // The flow is taken at the middle of the slot, so that the result does not depend on the time of the first
+        // request.
         let to_middle = slot.saturating_mul(SLOT_NANOS).saturating_add(SLOT_NANOS / 2) - at.civil_nanos();
         let at = Moment { utc_nanos: at.utc_nanos.saturating_add(to_middle), ..at };
         self.near.entry(slot).or_insert_with(|| near_cells(model, at, near_m))
     }
 }
 
-/// The mean density of the cells near each cell, times the area that is near. Nobody is outside of the raster.
+/// The mean density of the cells near each cell, times the near area. Outside of the raster there are no people.
 fn near_cells(model: &FlowModel, at: Moment, near_m: f64) -> Vec<f64> {
     let options = model.options();
     let (raster, nobody) = (options.raster, model.unseen_per_sec() * options.directions as f64);
@@ -139,7 +140,8 @@ mod tests {
         };
         assert!((along(1.0, 1_200.0) - 2.0 * along(1.0, 600.0)).abs() < 1e-12);
         assert!(along(1.9, 600.0) > 3.0 * along(1.0, 600.0));
-        // Two metres reach the four neighbours, where nobody is: five times fewer people on four times the area.
+        // A distance of two metres reaches the four neighbours, where nobody is: five times fewer people on four times
+        // the area.
         assert!(along(2.0, 600.0) < along(1.9, 600.0));
     }
 

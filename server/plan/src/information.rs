@@ -49,8 +49,8 @@ impl Certainty {
     }
 
     /// Expected information from observing which of several labels holds, whose shares sum to 1: their entropy, less
-    /// that of a look, which leaves the share p_c to one label and the rest to the others alike. For two labels it is
-    /// [`Certainty::bits`].
+    /// that after an observation, which leaves the share p_c to one label and the rest to the others alike. For two
+    /// labels it equals [`Certainty::bits`].
     #[must_use]
     pub fn bits_of_labels(self, shares: &[f64]) -> f64 {
         let others = shares.len().saturating_sub(1).max(1) as f64;
@@ -71,18 +71,18 @@ impl Certainty {
     }
 }
 
-/// What a look at a state is worth: a measure, and the certainty of a look.
+/// The worth of an observation of a state: a measure, and the certainty of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LookWorth {
-    /// The certainty after the look, for the gain of RA-L.
+    /// The certainty after the observation, for the gain of RA-L.
     pub certainty: Certainty,
-    /// What counts.
+    /// The measure of information.
     pub measure: InformationMeasure,
 }
 
 impl LookWorth {
-    /// The worth of a look at a state of probability `p`, in bits. `known`: the predictive distribution around `p`;
-    /// `None` where looks are not counted, so that a look teaches nothing that this would see.
+    /// The worth of an observation of a state of probability `p`, in bits. `known`: the predictive distribution around
+    /// `p`; `None` where bins are not counted, so that an observation has no gain of learning.
     #[must_use]
     pub fn bits(self, p: f64, known: Option<Predictive>) -> f64 {
         self.measure.bits(self.certainty.bits(p), known.map_or(0.0, Predictive::learning_bits))

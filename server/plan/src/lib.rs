@@ -1,4 +1,4 @@
-//! Planning on the views of a map: exploration (where and when to look next), tours, searches, routes and policies.
+//! Planning on the views of a map: exploration (where and when to observe next), tours, searches, routes and policies.
 //!
 //! Invariant: no I/O, no clock, no hidden randomness (a seed is an argument). Information is in bits. The cost of a
 //! request is bounded before the work begins; an error names the limit.

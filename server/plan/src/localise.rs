@@ -1,14 +1,15 @@
-//! Where a robot is, from the image features that it sees (T-RO, section VII): the landmarks that are probably visible
-//! at each node are matched to the features, and matches that agree about the heading vote for the node.
+//! Localises a robot by the image features that it sees (T-RO, section VII): the landmarks that are probably visible at
+//! each node are matched to the features, and matches that agree about the heading vote for the node.
 //!
-//! A landmark matches the feature with the nearest descriptor if that is clearly nearer than the next (ratio test), and
-//! if both are about as far up in their images. How far the feature is to the right of where the landmark was says how
-//! the robot has turned. The heading that the largest number of matches agree about wins (T-RO: histogram voting).
+//! A landmark matches the feature with the nearest descriptor if this descriptor is clearly nearer than the next one
+//! (ratio test), and if landmark and feature are at about the same height in their images. The distance of the feature
+//! to the right of the landmark's position shows how the robot has turned. The heading on which the largest number of
+//! matches agree wins (T-RO: histogram voting).
 //!
 //! The probability of a node compares two explanations of its votes: the robot is there, and each landmark votes as
-//! probably as it is visible; or the robot is elsewhere, and landmarks vote as often as they do at the other nodes.
-//! Landmarks of a node appear and vanish together, as with the light, so that a node's votes count as far fewer
-//! independent ones ([`INDEPENDENT_VOTES`]).
+//! probably as it is visible; or the robot is elsewhere, and landmarks vote as often as at the other nodes. Landmarks
+//! of a node appear and vanish together, for example with the light. So a node's votes count as far fewer independent
+//! ones ([`INDEPENDENT_VOTES`]).
 //!
 //! Invariant: the result depends on the features, the nodes and their order alone, whatever the processor.
 
@@ -20,12 +21,12 @@ mod tests;
 
 /// A match is accepted where 10 times its distance is less than 9 times that of the next.
 const RATIO: [u32; 2] = [10, 9];
-/// The votes of a node count as those of so many independent landmarks.
+/// The votes of a node count as this number of independent landmarks.
 pub const INDEPENDENT_VOTES: f64 = 12.0;
-/// A landmark that is always or never seen may be otherwise this time.
+/// Probability that a landmark that is always or never seen is different this time.
 const SURE: f64 = 0.02;
 
-/// Which matches agree.
+/// The rules for matches that agree.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchRules {
     /// Maximum distance between landmark and feature to the side, pixels.
@@ -50,42 +51,42 @@ pub struct SeenFeatures {
     words: Vec<Vec<u64>>,
 }
 
-/// Descriptors have different lengths.
+/// The error for descriptors of different lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("descriptors of {found} bytes and of {expected} bytes cannot be compared")]
 pub struct MixedDescriptors {
-    /// Length of one, bytes.
+    /// Length of this descriptor, bytes.
     pub found: usize,
-    /// Length of the others, bytes.
+    /// Length of the other descriptors, bytes.
     pub expected: usize,
 }
 
 /// A landmark that is expected at a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedLandmark {
-    /// Where it was seen, and what it looks like.
+    /// Position and descriptor of the landmark when it was seen.
     pub feature: ImageFeature,
-    /// Probability that it is visible, in [0, 1].
+    /// Probability that the landmark is visible, in [0, 1].
     pub visible: f64,
 }
 
-/// How the features match the landmarks of a node.
+/// The match of the features with the landmarks of a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeMatch {
     /// Landmarks with a feature near enough.
     pub matches: u32,
-    /// Those that agree about the heading.
+    /// Matches that agree about the heading.
     pub votes: u32,
     /// Sum of the voters' distances, bits.
     pub distance_bits: u32,
-    /// How far the features are to the right of where the landmarks were, pixels; `None`: no vote.
+    /// Distance of the features to the right of the landmarks' positions, pixels; `None`: no vote.
     pub heading_px: Option<f64>,
-    /// Probability that the robot is there, if it is at one of the nodes.
+    /// Probability that the robot is at the node, if it is at one of the nodes.
     pub probability: f64,
 }
 
 impl NodeMatch {
-    /// By votes, then matches, then the smaller distance: the greater, the better.
+    /// Orders by votes, then matches, then the smaller distance: the greater, the better.
     #[must_use]
     pub fn rank(&self) -> impl Ord + use<> {
         (self.votes, self.matches, std::cmp::Reverse(self.distance_bits))
@@ -93,7 +94,7 @@ impl NodeMatch {
 }
 
 impl SeenFeatures {
-    /// The features of an image, in any order; of equally near ones the first counts.
+    /// The features of an image, in any order; the first counts among equally near ones.
     ///
     /// # Errors
     /// [`MixedDescriptors`]
@@ -114,7 +115,7 @@ impl SeenFeatures {
         self.features.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no features.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.features.is_empty()
@@ -147,7 +148,7 @@ impl SeenFeatures {
         self.features.get(nearest.0).filter(|_| is_clear).map(|feature| (feature, nearest.1))
     }
 
-    /// The landmarks that have a feature near enough: how far it is to the right, and its distance in bits.
+    /// The landmarks that have a feature near enough: its distance to the right, and its descriptor distance in bits.
     fn matches(&self, landmarks: &[ExpectedLandmark], rules: &MatchRules) -> Vec<(f64, u32)> {
         let mut distances = Vec::new();
         let near = |landmark: &ExpectedLandmark| {
@@ -159,7 +160,7 @@ impl SeenFeatures {
         landmarks.iter().filter_map(near).collect()
     }
 
-    /// Matches and votes of a node; its probability is left 0.
+    /// Matches and votes of a node; the probability stays 0.
     fn vote(&self, landmarks: &[ExpectedLandmark], rules: &MatchRules) -> NodeMatch {
         let matches = self.matches(landmarks, rules);
         let agreeing = |du_px: f64| matches.iter().filter(move |(other, _)| (other - du_px).abs() <= rules.heading_px);
@@ -182,14 +183,14 @@ impl SeenFeatures {
     }
 }
 
-/// Which landmarks are expected at a time: the `count` most probable, those that were seen more often first where the
-/// probabilities are equal to nine decimals, then those of lower number. `of_landmarks`: for each, the probability that
-/// it is visible, and how often it was, 0 to 1.
+/// The landmarks that are expected at a time: the `count` most probable. If probabilities are equal to nine decimals,
+/// landmarks that were seen more often come first, then those of lower number. `of_landmarks`: for each landmark, the
+/// probability that it is visible, and the share of its observations in which it was visible, 0 to 1.
 #[must_use]
 pub fn most_probable(of_landmarks: &[[f64; 2]], count: usize) -> Vec<usize> {
     let key = |index: &usize| of_landmarks.get(*index).map(|numbers| numbers.map(|number| (number * 1e9).round()));
     let mut order: Vec<usize> = (0..of_landmarks.len()).collect();
-    // Stable: a lower number goes first.
+    // The sort is stable: a lower number goes first.
     order.sort_by(|a, b| {
         let [[a_first, a_then], [b_first, b_then]] = [key(a), key(b)].map(Option::unwrap_or_default);
         b_first.total_cmp(&a_first).then(b_then.total_cmp(&a_then))
@@ -198,8 +199,8 @@ pub fn most_probable(of_landmarks: &[[f64; 2]], count: usize) -> Vec<usize> {
     order
 }
 
-/// How well the features match each node, in the order of the nodes. Landmarks with descriptors of another length than
-/// the features are an error.
+/// The match of the features with each node, in the order of the nodes. Landmarks with descriptors of another length
+/// than the features are an error.
 ///
 /// # Errors
 /// [`MixedDescriptors`]
@@ -224,8 +225,8 @@ pub fn localise(
     Ok(found)
 }
 
-/// The node that the robot is at: that with most votes, then most matches, then the smallest distance, then the first.
-/// `None`: no landmark matches.
+/// The node at which the robot is: the node with most votes, then most matches, then the smallest distance, then the
+/// first. `None`: no landmark matches.
 #[must_use]
 pub fn best_node(nodes: &[NodeMatch]) -> Option<usize> {
     let voted = nodes.iter().enumerate().filter(|(_, node)| node.votes > 0);
@@ -242,7 +243,7 @@ fn probabilities(nodes: &[Vec<ExpectedLandmark>], found: &[NodeMatch]) -> Vec<f6
         if count == 0.0 {
             return 0.0;
         }
-        // What the other nodes show: one vote in twenty where there is little else.
+        // Share of votes at the other nodes: one vote in twenty where there is little data.
         let chance = (all.0 - votes + 1.0) / (all.1 - count + 20.0);
         let there = node.iter().map(|landmark| landmark.visible).sum::<f64>() / count;
         let there = there.clamp(SURE, 1.0 - SURE).max(chance);

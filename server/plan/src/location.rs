@@ -1,4 +1,4 @@
-//! The information of a visit to a location: the sum over the states that can be observed there together.
+//! The information of a visit to a location: the sum over all states that can be observed there.
 //!
 //! Invariant: no result is NaN or negative; a probability outside `[0,1]` counts as the nearer end, NaN as 0.5.
 

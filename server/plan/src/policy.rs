@@ -29,7 +29,7 @@ pub(crate) const POLICY_STATES_MAX: usize = 2_000_000;
 /// The objective of a policy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PolicyObjective {
-    /// The greatest probability to be at the target by the end of the last slot. Ties (within 1e-12): the least
+    /// The greatest probability of being at the target by the end of the last slot. Ties (within 1e-12): the least
     /// expected time, then the fewest attempts.
     #[default]
     Reach,
@@ -56,14 +56,14 @@ impl Default for PolicyOptions {
     }
 }
 
-/// The action at a node in a slot. The planner knows edges by their number and users by their name.
+/// The action at a node in a slot. The planner identifies edges by number, users by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PolicyAction<E = EdgeId> {
     /// Take this edge.
     Take(E),
     /// Stay until the next slot begins.
     Wait,
-    /// None: this is the target.
+    /// No action: this is the target.
     Arrived,
     /// No action helps.
     Nothing,
@@ -78,7 +78,7 @@ pub struct PolicyEntry<E = EdgeId> {
     /// certainty. With [`PolicyObjective::Reach`]: expected seconds until the target or the end of the last slot,
     /// whichever comes first.
     pub expected_secs: f64,
-    /// Probability to be at the target by the end of the last slot.
+    /// Probability of being at the target by the end of the last slot.
     pub reach: f64,
 }
 
@@ -88,9 +88,9 @@ pub struct PolicyTable {
     target: NodeId,
     slot_secs: f64,
     slots: usize,
-    /// Ascending by number.
+    /// The nodes, ascending by number.
     nodes: Vec<NodeId>,
-    /// Slot by slot, node by node.
+    /// The entries, slot by slot and node by node.
     entries: Vec<PolicyEntry>,
 }
 
@@ -128,20 +128,20 @@ impl PolicyTable {
     }
 }
 
-/// Why policy planning failed.
+/// The reason why policy planning failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PolicyError {
     /// The map has no such node.
     #[error("there is no node of number {0}")]
     UnknownNode(u32),
-    /// A number of the request is out of range.
+    /// A number in the request is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range { what: &'static str, found: f64, expected: String },
     /// Too many states.
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_STATES_MAX} of both together; use fewer, wider slots")]
     TooManyStates { nodes: usize, slots: usize },
-    /// The caller stopped it.
+    /// The caller stopped the planning.
     #[error("the policy was stopped with {left} of {slots} slots left; raise the time limit, or use fewer slots")]
     Stopped { left: usize, slots: usize },
     /// A forecast is out of range.

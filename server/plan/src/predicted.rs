@@ -24,7 +24,7 @@ pub const CELLS_MAX: u64 = 1 << 24;
 /// Default maximum of the values of changing cells, cells times times.
 pub(crate) const VALUES_MAX: u64 = 1 << 26;
 
-/// Which model predicts, and which cells.
+/// The model that predicts, and the cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictOptions {
     /// The model.
@@ -48,7 +48,7 @@ impl Default for PredictOptions {
     }
 }
 
-/// Why the prediction of a grid failed.
+/// The reason why the prediction of a grid failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PredictError {
@@ -73,7 +73,7 @@ pub enum PredictError {
     /// A tile of the grid is unavailable.
     #[error(transparent)]
     Unavailable(#[from] TileUnavailable),
-    /// The work was told to stop.
+    /// The work received the signal to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }

@@ -1,23 +1,23 @@
-//! Where a person or an object is, of which exactly one exists among several places: [`Presence`] over the slots of
+//! Predicts where a person or an object is, which is at exactly one of several places: [`Presence`] over the slots of
 //! days, trained on the readings of the places.
 //!
-//! Invariant: the probabilities of the places sum to 1 at each time, and use no reading after the first of the times.
+//! Invariant: the probabilities of the places sum to 1 at each time. They use no reading after the first of the times.
 
 use tidemap_model::{
     EarlyStop, StopSignal,
     models::{CannotTrain, Presence, PresenceOptions},
 };
 
-/// Readings count for so long before the first time: as long as fits of other models look back.
+/// Readings count for this time before the first time: it is the window of the fits of other models.
 pub const READINGS_MAX_NANOS: i64 = 84 * DAY_NANOS;
-/// Steps of expectation-maximisation: as many as a learner that learns every night takes in four nights.
+/// Steps of expectation-maximisation: as many as a nightly learner runs in four nights.
 const STEPS: usize = 12;
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
 /// A reading of one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
-    /// Nanoseconds UTC.
+    /// Time of the reading, nanoseconds UTC.
     pub utc_nanos: i64,
     /// Index of the place.
     pub place: usize,
@@ -25,13 +25,13 @@ pub struct Sighting {
     pub is_there: bool,
 }
 
-/// Why there is no presence.
+/// The reason why there is no presence.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PresenceError {
     /// The number of places or of slots is outside of its range.
     #[error(transparent)]
     CannotTrain(#[from] CannotTrain),
-    /// Nobody waits for the answer.
+    /// The caller no longer waits for the result.
     #[error(transparent)]
     Stopped(#[from] EarlyStop),
 }
@@ -75,8 +75,8 @@ pub fn presence_series(
         utc_nanos.saturating_add(offset_nanos).rem_euclid(DAY_NANOS)
     };
     let of_day = |utc_nanos: i64| (local_of_day(utc_nanos) / slot_nanos) as usize;
-    // Slots follow each other in elapsed time from the one with the oldest reading. A day may repeat or skip some, as
-    // when the clocks change.
+    // Slots follow each other in elapsed time from the slot with the oldest reading. A day may repeat or skip some, for
+    // example when the clocks change.
     let start = oldest.utc_nanos - local_of_day(oldest.utc_nanos) % slot_nanos;
     let slot_at = |utc_nanos: i64| utc_nanos.saturating_sub(start).div_euclid(slot_nanos).max(0);
     let middle = |slot: i64| start.saturating_add(slot.saturating_mul(slot_nanos)).saturating_add(slot_nanos / 2);
@@ -116,7 +116,7 @@ mod tests {
     /// Monday 2024-01-01, UTC.
     const MONDAY: i64 = 1_704_067_200_000_000_000;
 
-    /// A person who is at home by night, in the office by day and in the canteen at noon; a robot looks into one room
+    /// A person who is at home by night, in the office by day and in the canteen at noon; a robot observes one room
     /// every hour.
     fn place_at(utc_nanos: i64) -> usize {
         match utc_nanos.rem_euclid(DAY_NANOS) / HOUR {
@@ -149,7 +149,7 @@ mod tests {
                 let total: f64 = rows.iter().map(|row| row[at]).sum();
                 assert!((total - 1.0).abs() < 1e-9, "{total}");
                 let likeliest = (0..3).max_by(|&a, &b| rows[a][at].total_cmp(&rows[b][at]));
-                // Changes may be one slot early or late.
+                // A predicted change may be one slot early or late.
                 let is_near = [time - HOUR, time, time + HOUR].map(place_at).contains(&likeliest.unwrap());
                 assert!(is_near, "hour {at}: {:?}", rows.iter().map(|row| row[at]).collect::<Vec<_>>());
             }

@@ -5,7 +5,7 @@
 //!
 //! - [`Objective::Time`]: expected seconds if a failed attempt is repeated until one succeeds, d + (1 - p)/p · (d + r).
 //!   There are (1 - p)/p failures on average; each costs the time d of an attempt and the recovery r. The forecast of
-//!   the first attempt applies to the repeated ones, too.
+//!   the first attempt also applies to the repeated ones.
 //! - [`Objective::Success`]: -ln p, so that the least sum is the greatest product. Counted in whole steps of 1e-12, so
 //!   that equal products are equal; then the least expected seconds win.
 //! - An encounter with people counts as [`RouteOptions::encounter_cost_secs`] of time in all three.
@@ -13,9 +13,9 @@
 //!   cost of a failure beyond its time, in seconds.
 //!
 //! A robot does not wait between edges and visits no node twice. Arriving later may be better, because a door may open.
-//! So of two paths to a node one is dropped only if both arrive at the same time, within
-//! [`SearchWork::resolution_secs`], and if everything that may follow the dearer one may also follow the cheaper one.
-//! [`Certainty`] says what was proven. Bounds of the caller prove optimality; sampled bounds do not. By default a few
+//! So one of two paths to a node is dropped only if both arrive at the same time, within
+//! [`SearchWork::resolution_secs`], and if everything that may follow the dearer path may also follow the cheaper one.
+//! [`Certainty`] states what was proven. Bounds of the caller prove optimality; sampled bounds do not. By default a few
 //! thousand labels are spent on a proof, which is enough for a flat; then bounds are sampled. After the topological
 //! navigation of N. Hawes et al., "The STRANDS Project", IEEE RAM 2017, whose actions also have predicted successes and
 //! durations. [`crate::policy`] covers failures. Forecasts come from the caller ([`Forecasts`]); the crate knows no
@@ -67,24 +67,24 @@ pub enum Objective {
     },
 }
 
-/// When to depart, in seconds after the reference time of the request.
+/// The departure of a route, in seconds after the reference time of the request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum When {
-    /// At this time.
+    /// Depart at this time.
     DepartAt(f64),
-    /// At the best of the times `from_secs`, `from_secs` + `step_secs`, … up to `to_secs`; ties: the earliest.
+    /// Depart at the best of the times `from_secs`, `from_secs` + `step_secs`, … up to `to_secs`; ties: the earliest.
     DepartWithin {
-        /// The first.
+        /// The first departure.
         from_secs: f64,
         /// The last departure.
         to_secs: f64,
-        /// Above 0; at most [`DEPARTURES_MAX`] departures.
+        /// The step between departures, above 0; at most [`DEPARTURES_MAX`] departures.
         step_secs: f64,
     },
-    /// As late as possible, so that the expected arrival of the best route of that departure is no later than
+    /// Depart as late as possible, so that the expected arrival of the best route of that departure is no later than
     /// `by_secs`. Departures are tried backwards in steps of a minute, or wider so that there are at most
     /// [`DEPARTURES_MAX`], then refined to 0.1 s from the first that arrives in time; a later departure between two
-    /// steps may be missed. No departure before `earliest_secs`, or longer than the horizon before `by_secs`.
+    /// steps may be missed. No departure is before `earliest_secs`, or longer than the horizon before `by_secs`.
     ArriveBy {
         /// The latest arrival.
         by_secs: f64,
@@ -102,7 +102,7 @@ pub struct RouteOptions {
     pub recovery_secs: f64,
     /// The cost of a failure in [`Objective::Blend`], in seconds, 0 to [`TIME_MAX_SECS`]; 600 by default.
     pub failure_cost_secs: f64,
-    /// What avoiding one encounter with people is worth, in seconds, 0 to [`TIME_MAX_SECS`]; 0 by default: they do not
+    /// The cost of one encounter with people, in seconds, 0 to [`TIME_MAX_SECS`]; 0 by default: encounters do not
     /// matter. With [`Objective::Success`] they only decide between routes of equal success.
     pub encounter_cost_secs: f64,
     /// Number of alternatives, which differ from the others in at least one edge; at most [`ALTERNATIVES_MAX`]; 0 by
@@ -128,14 +128,14 @@ impl Default for RouteOptions {
     }
 }
 
-/// How certain it is that no route is better, the most certain first.
+/// The certainty that no route is better, the most certain first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Certainty {
-    /// Proven.
+    /// The result is proven to be the best.
     Proven,
-    /// Proven, except for paths that arrive within one second and count as arriving together.
+    /// The result is proven, except for paths that arrive within one second and count as arriving together.
     WithinResolution,
-    /// Sampled bounds pruned something.
+    /// Paths were pruned by sampled bounds.
     Sampled,
     /// The search was stopped or ran out of labels.
     CutOff,
@@ -144,17 +144,17 @@ pub enum Certainty {
 /// One edge of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RouteStep {
-    /// Which.
+    /// The edge.
     pub edge: EdgeId,
-    /// Where it begins.
+    /// The node at which the edge begins.
     pub from: NodeId,
-    /// Where it ends.
+    /// The node at which the edge ends.
     pub to: NodeId,
-    /// When it is entered without failures, in seconds after the reference time.
+    /// Time at which the robot enters the edge without failures, in seconds after the reference time.
     pub start_secs: f64,
-    /// Its duration then, in seconds.
+    /// Duration of the edge at that time, in seconds.
     pub duration_secs: f64,
-    /// Expected encounters with people on it.
+    /// Expected encounters with people on the edge.
     pub encounters: f64,
     /// Success probability of an attempt, above 0, at most 1.
     pub success: f64,
@@ -165,11 +165,11 @@ pub struct RouteStep {
 /// A route from one node to another, at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
-    /// Its edges, in order; empty if it ends where it begins.
+    /// The steps of the route, in order; empty if it ends where it begins.
     pub steps: Vec<RouteStep>,
     /// The departure, in seconds after the reference time.
     pub departure_secs: f64,
-    /// The arrival without failures.
+    /// The arrival without failures, in seconds after the reference time.
     pub arrival_secs: f64,
     /// The expected duration, failures and recovery included, in seconds.
     pub expected_secs: f64,
@@ -189,7 +189,7 @@ pub struct Route {
 pub struct RoutePlan {
     /// The best route and its alternatives, the best first. Alternatives depart at the same time.
     pub routes: Vec<Route>,
-    /// How certain it is that these are the best.
+    /// The certainty that these are the best routes.
     pub certainty: Certainty,
     /// Number of labels (partial routes).
     pub labels: usize,

@@ -38,7 +38,7 @@ pub const GOALS_MAX: usize = 5_000;
 /// Default minimum probability of a goal.
 pub(crate) const FLOOR: f64 = 1e-6;
 
-/// How long a search may be. Plans use [`SearchLimits::USUAL`]; tests reach smaller ones.
+/// The limits of a search. Plans use [`SearchLimits::USUAL`]; tests use smaller ones.
 #[derive(Clone, Copy, Debug)]
 struct SearchLimits {
     /// Maximum number of states of an exact search, 40 bytes each.
@@ -57,15 +57,15 @@ impl SearchLimits {
 pub struct Goal {
     /// The node.
     pub node: NodeId,
-    /// Probability of finding the target there, in `[0,1]`. The probabilities need not add up to one: there may be
-    /// several targets, or none. See [`anyone`].
+    /// Probability of finding the target at the node, in `[0,1]`. The probabilities need not add up to one: there may
+    /// be several targets, or none. See [`anyone`].
     pub probability: f64,
 }
 
 /// The effort to find the best order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Effort {
-    /// The best order up to [`EXACT_GOALS_MAX`] goals, within the budget; a good one above.
+    /// The best order up to [`EXACT_GOALS_MAX`] goals, within the budget; a good order above.
     #[default]
     Auto,
     /// The best order, within the budget; more goals are refused.
@@ -80,7 +80,7 @@ pub struct SearchOptions {
     /// The effort.
     pub effort: Effort,
     /// Minimum probability of a goal, in `[0,1]`, above 0. Without it, the order of impossible goals would be
-    /// arbitrary; with it they come last, the near ones first.
+    /// arbitrary; with it impossible goals come last, the near ones first.
     pub floor: f64,
     /// Seed of the heuristic.
     pub seed: u64,
@@ -94,7 +94,7 @@ impl Default for SearchOptions {
     }
 }
 
-/// Why a search cannot be planned.
+/// The reason why a search cannot be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum SearchError {

@@ -3,8 +3,8 @@
 //! RAS 2017 is Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of mobile robots",
 //! Robotics and Autonomous Systems 88. Invariant: a schedule has an entry for each slot; the same gains, budget and
 //! seed give the same schedule; with a number of visits as budget, the schedule has exactly this number. The module
-//! knows no grid and no map: the caller gives the gain of each place in each slot. Ties are broken by seed; always
-//! taking the first place of a list would visit only that place on the first day.
+//! does not use a grid or a map: the caller supplies the gain of each place in each slot. Ties are broken by seed: if
+//! the first place of a list were always taken, the first day would visit only that place.
 
 mod allowance;
 mod draw;
@@ -26,27 +26,27 @@ pub(crate) const GAIN_MAX: f64 = 1e12;
 /// if the model is certain of them.
 pub(crate) const IOTA_BITS: f64 = 0.02 * std::f64::consts::LOG2_E;
 
-/// A visit is replaced by another whose information is at least this many times what the model expects: "I' ≫ I" of RAS
-/// 2017, section 5.1. With a certain model (p = 0.05) this needs a short-term expectation above 0.25; with p = 0.2 it
-/// never happens.
+/// A visit is replaced by another whose information is at least this multiple of the model's expectation: "I' ≫ I" of
+/// RAS 2017, section 5.1. With a certain model (p = 0.05) this needs a short-term expectation above 0.25; with p = 0.2
+/// it never happens.
 pub(crate) const NOVELTY_FACTOR: f64 = 4.0;
 
-/// How the visits of a day are scheduled.
+/// The schedule of the visits of a day.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
-    /// All places in turn, evenly spaced over the day.
+    /// Visits all places in turn, evenly spaced over the day.
     RoundRobin {
         /// Number of earlier visits: the rotation continues from there.
         visited: u64,
     },
-    /// Random slots and places.
+    /// Visits random places in random slots.
     Random,
-    /// The slots whose best place has the highest gain; ties are broken at random.
+    /// Uses the slots whose best place has the highest gain; ties are broken at random.
     Greedy,
-    /// Random slots and places, in proportion to gain plus [`IOTA_BITS`] (eq. 11). With a ratio as budget each slot is
-    /// drawn independently, against a weight of rest with which the expected share of visits is the ratio (with the
-    /// weight of section 5.1 it would be less where the gains of slots differ); with a number of visits exactly this
-    /// number of slots is drawn.
+    /// Draws slots and places at random, in proportion to gain plus [`IOTA_BITS`] (eq. 11). With a ratio as budget each
+    /// slot is drawn independently, against a weight of no visit for which the expected share of visits is the ratio
+    /// (with the weight of section 5.1 the share would be less where the gains of slots differ); with a number of
+    /// visits exactly this number of slots is drawn.
     #[default]
     MonteCarlo,
 }
@@ -61,7 +61,7 @@ pub enum Budget {
     Visits(usize),
 }
 
-/// Why a schedule is impossible.
+/// The reason why a schedule is impossible.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum StrategyError {
@@ -98,7 +98,7 @@ impl Budget {
     /// [`StrategyError`] where the ratio is outside `[0,1]` or there are more visits than slots.
     pub fn visits(self, slots: usize) -> Result<usize, StrategyError> {
         match self {
-            // At most `slots`.
+            // The result is at most `slots`.
             Budget::Ratio(ratio) if (0.0..=1.0).contains(&ratio) => Ok((ratio * slots as f64).round() as usize),
             Budget::Ratio(found) => Err(StrategyError::Ratio { found }),
             Budget::Visits(visits) if visits <= slots => Ok(visits),

@@ -1,10 +1,10 @@
-//! Plans of tasks: which tasks of a day a robot does, in which order and when.
+//! Plans the tasks of a day: selects which tasks a robot does, in which order and when.
 //!
 //! A task is done at a place. It begins within its window, takes its duration, and ends within its window. Its value
 //! may change over the day, for example with the probability that somebody is there. A robot travels between places by
 //! legs ([`LegTable`]): the expected time of a leg includes repeated attempts at edges that fail, and its success is
 //! the probability that nothing fails. The plan has the greatest sum of values, each times the success of the leg to it
-//! unless the task [persists](DayTask::persists); ties: the earliest end. Charging is a task like others (N. Hawes et
+//! unless the task [persists](DayTask::persists); ties: the earliest end. Charging is an ordinary task (N. Hawes et
 //! al., "The STRANDS Project", IEEE RAM 2017).
 //!
 //! The day is divided into slots of equal length, as in [`crate::policy`]: a leg is as forecast for the slot of its
@@ -13,7 +13,7 @@
 //! beginnings at the arrival, at the opening of the window, or at the beginning of a later slot. Few tasks are planned
 //! exactly, over all sets of tasks (`tasks/exact.rs`); more by insertion and local search (`tasks/search.rs`).
 //!
-//! Invariant: a plan is a function of its question. Steps do not overlap, each lies within its window, and each task is
+//! Invariant: a plan is a function of its request. Steps do not overlap, each lies within its window, and each task is
 //! either a step or unserved, with a reason.
 
 mod day;
@@ -40,34 +40,34 @@ pub const TASK_SLOTS_MAX: usize = 1_500;
 /// A task to plan. Times are in seconds after the reference time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DayTask {
-    /// Where it is done: a place of the [`LegTable`].
+    /// The place at which the task is done: a place of the [`LegTable`].
     pub place: usize,
     /// The earliest start.
     pub from_secs: f64,
     /// The latest end.
     pub until_secs: f64,
-    /// How long it takes, above 0.
+    /// Duration of the task, above 0.
     pub duration_secs: f64,
-    /// What it is worth.
+    /// Value of the task.
     pub value: TaskValue,
-    /// Whether the robot tries until it gets there, as to its charger: what may fail on the way takes nothing from the
-    /// worth. Otherwise no robot would leave its charger for a task of less value.
+    /// Whether the robot tries until it gets to the place, for example to its charger: failures on the way do not
+    /// reduce the worth. Otherwise no robot would leave its charger for a task of less value.
     pub persists: bool,
 }
 
 impl DayTask {
-    /// What a value counts in a plan after a way of this success.
+    /// The worth of a value in a plan, after a way with this success.
     fn worth(&self, value: f64, success: f64) -> f64 {
         if self.persists { value } else { value * success }
     }
 }
 
-/// What a task is worth.
+/// The value of a task.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TaskValue {
-    /// Always as much; at least 0.
+    /// A constant value; at least 0.
     Fixed(f64),
-    /// By the slot in which it begins; one number per slot, at least 0.
+    /// A value by the slot in which the task begins; one number per slot, at least 0.
     BySlot(Vec<f64>),
 }
 
@@ -87,9 +87,9 @@ pub struct TaskDay<'a> {
     pub tasks: &'a [DayTask],
     /// The ways between places.
     pub legs: &'a LegTable,
-    /// The place where the robot is at first.
+    /// The place where the robot is at the beginning.
     pub start: usize,
-    /// When it is ready, in seconds after the reference time.
+    /// Time at which the robot is ready, in seconds after the reference time.
     pub ready_secs: f64,
 }
 
@@ -98,32 +98,32 @@ pub struct TaskDay<'a> {
 pub struct TaskStep {
     /// Index of the task.
     pub task: usize,
-    /// When the robot departs for it at the latest, so that it begins then with this success.
+    /// The latest departure for the task with which it begins at this time with this success.
     pub departure_secs: f64,
-    /// When it begins.
+    /// Start of the task.
     pub start_secs: f64,
-    /// When it ends.
+    /// End of the task.
     pub end_secs: f64,
-    /// Its value if it begins then.
+    /// Value of the task if it begins at this time.
     pub value: f64,
-    /// Probability that nothing fails on the way to it.
+    /// Probability that nothing fails on the way to the task.
     pub success: f64,
 }
 
-/// Why a task is not in a plan.
+/// The reason why a task is not in a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnservedReason {
-    /// Its window is shorter than its duration, or is over.
+    /// The window of the task is shorter than its duration, or is over.
     NoWindow,
-    /// No leg leads to its place.
+    /// No leg leads to the place of the task.
     Unreachable,
-    /// It is worth nothing at any time.
+    /// The task has no value at any time.
     NoValue,
-    /// Alone it could be done; the others are worth more.
+    /// The task could be done alone; the other tasks are worth more.
     NoTime,
     /// The map has no such node.
     UnknownNode,
-    /// The map has no such state, so that its value is not known.
+    /// The map has no such state, so the value of the task is not known.
     UnknownState,
 }
 
@@ -140,11 +140,11 @@ pub struct TaskPlan {
     pub is_proven: bool,
 }
 
-/// Why tasks cannot be planned.
+/// The reason why tasks cannot be planned.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TaskPlanError {
-    /// Too many.
+    /// There are too many tasks.
     #[error("the day has {found} tasks: at most {PLANNED_TASKS_MAX} are planned")]
     TooMany { found: usize },
     /// A number of a task is invalid.
@@ -156,7 +156,7 @@ pub enum TaskPlanError {
     /// The ways between the tasks cannot be computed.
     #[error(transparent)]
     Leg(#[from] LegError),
-    /// It was stopped.
+    /// The caller stopped the planning.
     #[error("the plan was stopped before it was ready; raise the time limit, or plan fewer tasks")]
     Stopped,
 }
@@ -193,7 +193,7 @@ fn check(day: &TaskDay<'_>) -> Result<(), TaskPlanError> {
 }
 
 /// Plans the tasks of a day. With up to 12 tasks that can be done at all the plan is the best, unless its proof would
-/// take too many steps; [`TaskPlan::is_proven`] says so.
+/// take too many steps; see [`TaskPlan::is_proven`].
 ///
 /// # Errors
 /// [`TaskPlanError`].
@@ -224,7 +224,7 @@ pub fn plan_tasks(day: &TaskDay<'_>, stop: StopSignal<'_>) -> Result<TaskPlan, T
     Ok(TaskPlan { steps, unserved, expected_value, is_proven })
 }
 
-/// Why a task cannot be done even alone.
+/// The reason why a task cannot be done even alone.
 fn why_impossible(day: &TaskDay<'_>, timing: &mut Timing<'_>, task: usize) -> Option<UnservedReason> {
     let DayTask { place, from_secs, until_secs, duration_secs, ref value, .. } = day.tasks[task];
     let has_window = from_secs.max(day.ready_secs) + duration_secs <= until_secs;
@@ -243,7 +243,7 @@ fn why_impossible(day: &TaskDay<'_>, timing: &mut Timing<'_>, task: usize) -> Op
     }
 }
 
-/// Whether a leg leads to the place from that of another task.
+/// Whether a leg leads to the place from the place of another task.
 fn is_reached_by_others(day: &TaskDay<'_>, place: usize) -> bool {
     let from = day.tasks.iter().map(|task| task.place).filter(|from| *from != place && *from != day.start);
     from.into_iter().any(|from| (0..day.legs.slots()).any(|slot| day.legs.at(from, place, slot).is_some()))

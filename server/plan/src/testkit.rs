@@ -10,7 +10,7 @@ use tidemap_map::{
 /// Kinds of maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shape {
-    /// Each node hangs on an earlier one.
+    /// Each node is connected to an earlier one.
     Tree,
     /// A grid of streets of which a third is closed; it stays connected.
     Streets,
@@ -29,7 +29,7 @@ pub(crate) struct Map {
 }
 
 impl Map {
-    /// Where the search begins.
+    /// The node at which the search begins.
     pub(crate) fn start(&self) -> NodeId {
         NodeId(0)
     }

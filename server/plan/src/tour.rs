@@ -33,7 +33,7 @@ use path::TourPaths;
 use question::TourCandidate;
 pub use question::{GOALS_MAX, START_TOLERANCE_M, TourEnd, TourError, TourQuestion};
 
-/// Why a tour has no goal.
+/// The reason why a tour has no goal.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum NoTour {
@@ -54,28 +54,28 @@ pub enum NoTour {
 /// A goal of a tour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourStep {
-    /// x and y in the map's frame, metres.
+    /// Position of the goal: x and y in the map's frame, metres.
     pub at_m: [f64; 2],
     /// Expected information of the view beyond that of the goals chosen before, bits.
     pub information_bits: f64,
-    /// Probability of reaching it, in (0, 1].
+    /// Probability of reaching the goal, in (0, 1].
     pub reachability: f64,
-    /// When the robot arrives, seconds from its start.
+    /// Arrival of the robot at the goal, seconds from its start.
     pub arrival_secs: f64,
 }
 
-/// A tour. The planner says by a [`NoTour`] why it has no goal; a user is told in words.
+/// A tour. The planner gives a [`NoTour`] as the reason why there is no goal; a user receives it as text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tour<R = NoTour> {
     /// Goals in the order of the drive.
     pub steps: Vec<TourStep>,
-    /// Sum of their information if all are reached, bits.
+    /// Sum of the goals' information if all are reached, bits.
     pub information_bits: f64,
-    /// Sum of their information times the probability of reaching them, bits: E_G of RA-L, section III.E, with the new
-    /// information at each goal.
+    /// Sum of the goals' information, each times the probability of reaching the goal, bits: E_G of RA-L, section
+    /// III.E, with the new information at each goal.
     pub expected_bits: f64,
-    /// The drive around obstacles, from the start to the end: points between which it is straight, x and y in the map's
-    /// frame, metres. Empty without a goal.
+    /// The drive around obstacles, from the start to the end: points with straight lines between them, x and y in the
+    /// map's frame, metres. Empty without a goal.
     pub path_m: Vec<[f64; 2]>,
     /// Length of the drive, metres.
     pub length_m: f64,
@@ -83,7 +83,7 @@ pub struct Tour<R = NoTour> {
     pub duration_secs: f64,
     /// Number of reachable candidates with a free view.
     pub candidates: usize,
-    /// Why there is no goal, if there is none.
+    /// The reason why there is no goal, if there is none.
     pub no_tour: Option<R>,
 }
 
@@ -102,10 +102,10 @@ impl Tour {
     }
 }
 
-/// The best tour through a predicted grid, by RA-L's greedy choice. On the threads of rayon's pool.
+/// The best tour through a predicted grid, by RA-L's greedy choice. It runs on the threads of rayon's pool.
 ///
-/// A tour without a goal gives its reason. Up to 12 goals are in the shortest order; more in a good one. Goals that do
-/// not fit into the time are omitted, first those with the least information for their time.
+/// A tour without a goal gives its reason. Up to 12 goals are in the shortest order; more goals are in a good order.
+/// Goals that do not fit into the time are omitted, first those with the least information for their time.
 ///
 /// # Errors
 /// [`TourError`], before the work begins; [`TourError::Stop`].
@@ -121,10 +121,10 @@ pub fn plan_tour(
     plan_tour_with(&fan, grid, reachability, question, stop)
 }
 
-/// [`plan_tour`] that drives through no area that is closed.
+/// Does the same as [`plan_tour`], but drives through no closed area.
 ///
 /// # Errors
-/// As [`plan_tour`].
+/// The errors are those of [`plan_tour`].
 pub fn plan_tour_around(
     grid: &PredictedGrid,
     (reachability, no_go): (&Reachability, &NoGoAreas),
@@ -139,7 +139,7 @@ pub fn plan_tour_around(
     tour
 }
 
-/// [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
+/// Does the same as [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
 ///
 /// # Errors
 /// [`TourError`], before the work begins; [`TourError::Stop`]; [`TourError::OtherFan`] for rays that do not match the
@@ -156,7 +156,7 @@ pub fn plan_tour_with(
     tour
 }
 
-/// The tour; not to be used if the signal is set.
+/// The tour; must not be used if the signal is set.
 fn find_tour(
     fan: &Fan,
     grid: &PredictedGrid,
@@ -227,7 +227,7 @@ fn tour_of(
     let mut tour = Tour::none(None, candidates.len());
     let mut new_bits = vec![0.0; chosen.len()];
     let mut covered = vec![false; scene.lattice().held()];
-    // In the order of choice, without those that do not fit.
+    // The goals in the order of choice, without those that do not fit.
     for (goal, chosen) in chosen.iter().enumerate().filter(|(goal, _)| order.contains(goal)) {
         for &place in &chosen.seen {
             if !std::mem::replace(&mut covered[place as usize], true) {

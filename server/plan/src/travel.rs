@@ -20,7 +20,7 @@ pub(crate) mod tests;
 
 /// The largest radius of a robot, in cells.
 const RADIUS_CELLS_MAX: f64 = 200.0;
-/// Columns between two looks at the stop signal.
+/// Number of columns between two checks of the stop signal.
 const COLUMNS_PER_CHECK: usize = 4096;
 
 /// The options of driving.
@@ -29,11 +29,11 @@ pub struct TravelOptions {
     /// Lower end of the heights of obstacles, metres in the map's frame. Without effect in a flat grid. Default 0.2,
     /// above the cells of the floor.
     pub z_min_m: f64,
-    /// Upper end of these heights, metres, above the lower end. Default 1.8.
+    /// Upper end of the heights of obstacles, metres, above the lower end. Default 1.8.
     pub z_max_m: f64,
     /// Radius of the robot, metres, at least 0. Default 0.3.
     pub radius_m: f64,
-    /// Cells with a higher probability are obstacles; in [0, 1]. Default 0.5.
+    /// Cells with a higher probability are obstacles; the threshold is in [0, 1]. Default 0.5.
     pub threshold: f64,
     /// Whether unknown columns can be driven over. Default: no.
     pub unknown_is_passable: bool,
@@ -45,7 +45,7 @@ impl Default for TravelOptions {
     }
 }
 
-/// Why the options of driving are invalid.
+/// The reason why the options of driving are invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidTravel {
@@ -63,7 +63,7 @@ pub enum InvalidTravel {
     Threshold(f64),
 }
 
-/// Where a robot can drive.
+/// The columns on which a robot can drive.
 #[derive(Clone, Debug)]
 pub struct TravelGrid {
     lattice: Arc<Lattice>,
@@ -71,12 +71,12 @@ pub struct TravelGrid {
     passable: Vec<bool>,
 }
 
-/// A column, seen from above: its number along x and along y, from the region's lowest.
+/// A column, seen from above: its index along x and along y, from the region's lowest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Column {
-    /// Along x.
+    /// Index along x.
     pub x: usize,
-    /// Along y.
+    /// Index along y.
     pub y: usize,
 }
 
@@ -104,7 +104,7 @@ impl TravelGrid {
         TravelGrid::until(grid, options, StopSignal::NEVER)
     }
 
-    /// Like [`TravelGrid::new`]; if the signal was set, the result must not be used.
+    /// Does the same as [`TravelGrid::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         grid: &PredictedGrid,
         options: &TravelOptions,
@@ -150,8 +150,8 @@ impl TravelGrid {
         Ok(travel)
     }
 
-    /// Closes the columns whose squares touch an area, and those nearer to them than the radius of the robot, as those
-    /// of obstacles.
+    /// Closes the columns whose squares touch an area, and the columns nearer to them than the radius of the robot, as
+    /// for obstacles.
     pub(crate) fn close(&mut self, no_go: &NoGoAreas, radius_m: f64, stop: StopSignal<'_>) {
         let [width, depth] = self.size;
         let half_m = self.lattice.resolution_m() / 2.0;
@@ -176,7 +176,7 @@ impl TravelGrid {
         // The half width of each row of the disc.
         let rows: Vec<(isize, isize)> =
             (-reach..=reach).filter_map(|y| Some((y, (0..=reach).rev().find(|&x| is_near(x, y))?))).collect();
-        // An obstacle inside others adds nothing.
+        // An obstacle that is surrounded by obstacles adds nothing.
         let is_inner = |x: usize, y: usize| {
             x > 0
                 && y > 0
@@ -221,7 +221,7 @@ impl TravelGrid {
         [x_m, y_m]
     }
 
-    /// Whether the robot's centre can be there; never outside the region.
+    /// Whether the robot's centre can be in the column; `false` outside the region.
     pub(crate) fn is_passable(&self, column: Column) -> bool {
         let [width, depth] = self.size;
         column.x < width && column.y < depth && self.passable[column.y * width + column.x]
@@ -254,7 +254,7 @@ impl TravelGrid {
         self.distances_until(from, StopSignal::NEVER)
     }
 
-    /// Like [`TravelGrid::distances`]; if the signal was set, the result must not be used.
+    /// Does the same as [`TravelGrid::distances`]; if the signal was set, the result must not be used.
     pub(crate) fn distances_until(&self, from: Column, stop: StopSignal<'_>) -> Distances {
         let [width, _] = self.size;
         let mut lengths = vec![f64::INFINITY; self.passable.len()];
@@ -298,14 +298,14 @@ impl TravelGrid {
         Distances { width, metres }
     }
 
-    /// A shortest way from a column to the one that distances are from, both included; ties: the lowest y, then x.
-    /// Empty if there is none.
+    /// A shortest way from a column to the origin of the distances, both included; ties: the lowest y, then x. Empty if
+    /// there is none.
     pub(crate) fn way(&self, from: Column, to: &Distances) -> Vec<Column> {
         let mut way = Vec::new();
         let mut next = to.to(from).map(|_| from);
         while let Some(at) = next {
             way.push(at);
-            // Each step is nearer, so that the way ends.
+            // Each step is nearer, so the way ends.
             let nearer = self.steps(at).into_iter().filter(|(column, _)| to.to(*column) < to.to(at));
             let length = |(column, by): &(Column, f64)| to.to(*column).unwrap_or(f64::INFINITY) + by;
             next = nearer.min_by(|one, other| length(one).total_cmp(&length(other))).map(|(column, _)| column);

@@ -30,7 +30,7 @@ pub use timed::{TimedScene, TimedViewScorer};
 
 /// Maximum number of cells along all rays of a sensor, counted per ray.
 pub const RAY_CELLS_MAX: f64 = 3e7;
-/// Nodes of a tree of rays between two looks at the stop signal.
+/// Number of nodes of a tree of rays between two checks of the stop signal.
 const NODES_PER_CHECK: usize = 1 << 14;
 /// The longest range in cells.
 pub(crate) const RANGE_CELLS_MAX: f64 = 4096.0;
@@ -40,7 +40,7 @@ pub(crate) const RANGE_CELLS_MAX: f64 = 4096.0;
 pub struct Sensor {
     /// Range, metres, above 0.
     pub range_m: f64,
-    /// Width of the field of view, radians, above 0; 2π and more is all around, for any yaw.
+    /// Width of the field of view, radians, above 0; 2π and more means all around, for any yaw.
     pub horizontal_fov_rad: f64,
     /// Height of the field of view, half of it above the horizon, radians, in (0, π]. Without effect in a flat grid.
     pub vertical_fov_rad: f64,
@@ -60,7 +60,7 @@ impl Default for Sensor {
     }
 }
 
-/// Why a sensor is invalid.
+/// The reason why a sensor is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum InvalidSensor {
@@ -116,18 +116,18 @@ impl Sensor {
 /// A viewpoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Viewpoint {
-    /// In the map's frame, metres.
+    /// The x coordinate in the map's frame, metres.
     pub x_m: f64,
-    /// In the map's frame, metres.
+    /// The y coordinate in the map's frame, metres.
     pub y_m: f64,
-    /// In the map's frame, metres; `None`: the sensor's height. Without effect in a flat grid.
+    /// The z coordinate in the map's frame, metres; `None`: the sensor's height. Without effect in a flat grid.
     pub z_m: Option<f64>,
     /// The direction of the middle of the field of view, from the map's x axis to its y axis, radians. Without effect
     /// for an all-around sensor.
     pub yaw_rad: f64,
 }
 
-/// Why a viewpoint is invalid.
+/// The reason why a viewpoint is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ViewError {
@@ -149,7 +149,7 @@ pub enum ViewError {
 }
 
 impl Viewpoint {
-    /// The cell that contains it.
+    /// The cell that contains the viewpoint.
     ///
     /// # Errors
     /// [`ViewError::NotFinite`] and [`ViewError::Outside`]

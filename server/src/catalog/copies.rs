@@ -1,6 +1,6 @@
-//! Maps that are made of a copy of another daemon's: new ones, and such as take the place of one that is here.
+//! Maps that are made from a copy of another daemon's map: new maps, and maps that replace one of this daemon.
 //!
-//! Invariant: a map that is replaced answers until its copy is complete and durable. Its files are set aside.
+//! Invariant: the replaced map serves requests until its copy is complete and durable. Its files are set aside.
 
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_store::{CopyError, MapCopy};
@@ -28,7 +28,7 @@ impl Catalog {
         .await
     }
 
-    /// Puts a copy in the place of a map of the cluster that is open here.
+    /// Replaces an open map of the cluster by a copy.
     ///
     /// # Errors
     /// See [`CatalogError`]; the map is as it was, or set aside.
@@ -45,7 +45,8 @@ impl Catalog {
             else {
                 return Err(CatalogError::Unknown(name.as_str().to_owned()));
             };
-            // The copy took long. Meanwhile this daemon may have begun to write the map; from here on it does not.
+            // The copy took a long time. This daemon may have begun to write the map meanwhile; from now on it does
+            // not.
             cluster.set_candidacy(uid, None);
             let is_diverged = old.digest().is_some_and(|digest| digest.is_equal == Some(false));
             if cluster.copy_cause(uid, is_diverged).is_none() {
@@ -65,13 +66,14 @@ impl Catalog {
                     ),
                     Ok((_, None)) => {}
                     Err(error @ CopyError::Unfinished(_)) => {
-                        // The next start completes it. Whatever the map took until then would be lost.
+                        // The next start completes the replacement. Data that the map accepted until then would be
+                        // lost.
                         let _ = fatal.send(format!("a copy of map {name} cannot be put in its place: {error}"));
                     }
-                    // What is there is opened.
+                    // The existing map is opened.
                     Err(error) => error!(map = %name, %error, "a copy of the map cannot be put in its place"),
                 }
-                // Whoever asked for the copy may have gone.
+                // The caller that ordered the copy may have gone.
                 let _ = sender.send(outcome.map(drop));
                 Ok(())
             })

@@ -1,8 +1,8 @@
-//! Erasing states, or some of their observations, from a map that is served: its writer stops, the store writes the map
-//! again without them, and another writer begins with that.
+//! Erases states, or some of their observations, from a served map: its writer stops, the store writes the map again
+//! without them, and another writer begins with the new map.
 //!
 //! Invariant: the states are found by name when nothing can change their ids any more, and one erasure of the daemon
-//! runs at a time. Requests wait for the new writer, and what was read for the old one is not answered.
+//! runs at a time. Requests wait for the new writer; a read for the old writer gets no reply.
 
 use std::{
     collections::BTreeSet,
@@ -27,13 +27,13 @@ use crate::{
     jobs::{JobCause, UpdateJob},
 };
 
-/// The vector, angle or categorical state that a state is a part of.
+/// The vector, angle or categorical state that contains this part.
 fn whole_of(part: &StateName) -> Option<&str> {
     let axis = part.as_axis().or(part.as_angle_axis()).map(|(whole, _)| whole);
     axis.or_else(|| part.as_label().map(|(whole, _)| whole))
 }
 
-/// The states of a name: one, or the axes of a vector or an angle.
+/// The states with a name: one state, or the axes of a vector or an angle.
 ///
 /// # Errors
 /// [`CatalogError::NoState`], [`CatalogError::Axis`].
@@ -111,7 +111,7 @@ impl Catalog {
         if old.shared_uid.is_some() {
             return Err(CatalogError::NotErasedInCluster(map.clone()));
         }
-        // States and producers are only added from here on.
+        // From here on, states and producers are only added.
         let states = request.state.as_deref().map(|state| states_of(&view, state)).transpose()?;
         let mut selection = None;
         if let Some(part) = &request.part {

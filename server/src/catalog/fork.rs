@@ -16,12 +16,12 @@ use crate::ingest::{
 };
 
 impl Catalog {
-    /// Sets the fork of a map aside, whose writer has stopped, and opens the map again. A map that cannot be opened is
-    /// set aside itself.
+    /// Sets the fork of a map aside, and opens the map again. The writer of the map has stopped. A map that cannot be
+    /// opened is set aside itself.
     pub(crate) async fn forked(&self, fork: ForkedMap) {
         let ForkedMap { id, map, common } = fork;
         let open = self.changing.lock().await;
-        // It may have been deleted meanwhile.
+        // The map may have been deleted meanwhile.
         let Some(old) = self.maps.load().get(&map).filter(|handle| handle.id == id).map(Arc::clone) else { return };
         if !*open {
             return;
@@ -32,8 +32,8 @@ impl Catalog {
         self.open_again(old, move |context| set_aside(context, id, &map, common)).await;
     }
 
-    /// Opens a map again whose writer has stopped, after something was done to its files. A map that cannot be opened
-    /// is set aside. Called with the lock of changes.
+    /// Opens a map again after a change of its files. The writer of the map has stopped. A map that cannot be opened is
+    /// set aside. The caller has the lock of changes.
     pub(super) async fn open_again(
         &self,
         old: Arc<MapHandle>,
@@ -66,7 +66,7 @@ impl Catalog {
     }
 }
 
-/// Sets the records of a map aside that the shared log does not have.
+/// Sets the records of a map's own log aside that the shared log does not have.
 fn set_aside(context: &Context, id: MapId, map: &MapName, common: u64) -> Result<(), CatalogError> {
     let fork = context.store.set_fork_aside(id, common).map_err(|error| {
         error!(%map, %error, "a fork cannot be set aside");

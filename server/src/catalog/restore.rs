@@ -1,6 +1,6 @@
-//! Restoring a map from its newest checkpoint and the log after it.
+//! Restores a map from its newest checkpoint and the log after it.
 //!
-//! Invariant: a restored map is the map that was stopped, even if its last update was cut off.
+//! Invariant: a restored map equals the stopped map, even if its last update was cut off.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -20,11 +20,10 @@ use crate::ingest::{
     writer::{Context, RestoredMap, UpdateFailed, start_in},
 };
 
-/// At the start, the updates in the log behind the checkpoint are repeated. Their history is saved each time it takes
-/// this much memory.
+/// The size of history at which it is saved while a start repeats the updates in the log behind the checkpoint.
 const HISTORY_BYTES: usize = 64 << 20;
 
-/// The progress of a replay is reported after this many records.
+/// Number of replayed records between two reports of progress.
 const RECORDS_PER_REPORT: u64 = 256;
 
 /// Restores a map and starts its writer.
@@ -41,7 +40,7 @@ pub(super) fn open_map(
     Ok(Arc::new(handle))
 }
 
-/// Makes the log of a restored map one that daemons share, if the map is one of a cluster.
+/// Makes the log of a restored map a shared one, if the map belongs to a cluster.
 pub(crate) fn share(
     context: &Context,
     (id, shared_uid): (MapId, Option<u64>),
@@ -58,8 +57,8 @@ pub(crate) fn share(
 }
 
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
-/// the writer repeats it while the map is served from the generation before. `tell` hears now and then how many records
-/// of how many are replayed, and whether to continue.
+/// the writer repeats it while the map is served from the generation before. `tell` is called at intervals with the
+/// number of replayed records and the total; its result decides whether to continue.
 pub(crate) fn restore_map(
     context: &Context,
     id: MapId,
@@ -84,20 +83,20 @@ pub(crate) fn restore_map(
     Ok(RestoredMap { map, log: Arc::new(opened.log), is_shared: false, logged, unsaved, begun })
 }
 
-/// A map that was made of its newest snapshot and the log behind it.
+/// A map that was made from its newest snapshot and the log behind it.
 struct ReplayedMap {
     map: LiveMap,
     /// Number of events.
     replayed: u64,
-    /// The end of the last update of which the log has it.
+    /// The end of the last update whose end is in the log.
     logged: Option<UpdateDone>,
-    /// The last update that the log has begun. It may take long, so that it is run here only if another event shows
-    /// that it ended.
+    /// The last update that has begun in the log. It may take long, so it is run here only if another event shows that
+    /// it ended.
     begun: Option<UpdateWork>,
 }
 
-/// Makes a map of its newest snapshot and the events behind it. `goes_on` gets the number of events so far now and
-/// then; `run` repeats an update that had ended.
+/// Makes a map from its newest snapshot and the events behind it. `goes_on` is called at intervals with the number of
+/// events so far; `run` repeats an update that had ended.
 ///
 /// # Errors
 /// The log cannot be read or does not fit the map, an update fails, or [`CatalogError::Stopping`].
@@ -126,7 +125,7 @@ fn replay(
         if position <= known {
             map.recover_pending(position, &event)
         } else {
-            // It ended before the next one began.
+            // The update ended before the next one began.
             if matches!(event, Event::UpdateStart(_))
                 && let Some(work) = begun.take()
             {
@@ -139,11 +138,11 @@ fn replay(
     Ok(ReplayedMap { map, replayed, logged, begun })
 }
 
-/// Whether a start can make a map of its newest snapshot and the events behind it. Writes nothing; models that need
-/// history are not trained by the updates that are repeated.
+/// Checks that a start can make a map from its newest snapshot and the events behind it. Writes nothing; models that
+/// need history are not trained by the updates that are repeated.
 ///
 /// # Errors
-/// What a start reports.
+/// The errors that a start reports.
 pub(crate) fn try_restore(spec: &MapSpec, snapshot: Option<MapSnapshot>, events: Replay) -> Result<(), String> {
     let spec = Arc::new(spec.clone());
     let mut run = |map: &mut LiveMap, work: UpdateWork| {
@@ -155,7 +154,7 @@ pub(crate) fn try_restore(spec: &MapSpec, snapshot: Option<MapSnapshot>, events:
     replay(&spec, snapshot, events, &|_| true, &mut run).map(drop).map_err(|error| error.to_string())
 }
 
-/// Repeats updates at the start because others followed them, and holds what is not saved of them.
+/// Repeats updates at the start, because other updates followed them, and keeps their unsaved results.
 struct UpdateReplay<'a> {
     context: &'a Context,
     id: MapId,
@@ -174,7 +173,7 @@ impl UpdateReplay<'_> {
             UpdateFailed::Threads(error) => CatalogError::Thread(std::io::Error::other(error)),
         })?;
         let mut snapshot = map.finish_update(result);
-        // Only the history of the older snapshots is not in this one.
+        // This snapshot contains everything of the older ones except their history.
         let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);
         history.append(&mut snapshot.history);
         snapshot.history = history;
@@ -184,13 +183,14 @@ impl UpdateReplay<'_> {
             return Ok(());
         }
         self.unsaved = save_or_keep(self.context, self.id, snapshot);
-        // A snapshot that was not saved is tried again when there is as much history again.
+        // If a snapshot could not be saved, the next attempt is made when the same amount of history has been added
+        // again.
         self.save_above = HISTORY_BYTES + if self.unsaved.is_some() { bytes } else { 0 };
         Ok(())
     }
 }
 
-/// Saves a snapshot; gives it back if that fails, because the log has everything in it.
+/// Saves a snapshot; returns it if that fails, because the log contains everything in it.
 fn save_or_keep(context: &Context, id: MapId, snapshot: MapSnapshot) -> Option<MapSnapshot> {
     match context.store.save(id, &snapshot) {
         Ok(_) => None,

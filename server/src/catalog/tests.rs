@@ -1,4 +1,4 @@
-//! The catalogue on a real store: callers that go away, and a failing store.
+//! Tests the catalogue on a real store: callers that go away, and a failing store.
 
 mod on_log;
 
@@ -138,7 +138,7 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
             }
         }
         store.save(id, &saved.expect("an update")).expect("saved");
-        // The log has one state more than the index.
+        // The log has one more state than the index.
         let hatch = StateName::new("hatch").expect("valid");
         let new = NewState::sampled(StateId(1), hatch, StateKind::Probability);
         let (sender, receiver) = std::sync::mpsc::channel();

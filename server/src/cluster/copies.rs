@@ -1,7 +1,7 @@
-//! Copies of maps between the members: which maps of this daemon need one, and who can give it.
+//! Copies of maps between the members: which maps of this daemon need a copy, and which members can give it.
 //!
-//! Invariant: nothing is copied from a daemon that does not report the map, and the writer of a map is asked last,
-//! unless its bits are what is wanted.
+//! Invariant: nothing is copied from a daemon that does not report the map, and the request goes to the writer of a map
+//! last, unless the writer's bits are needed.
 
 use std::{
     collections::BTreeMap,
@@ -19,28 +19,28 @@ use tidemap_map::name::MapName;
 use super::Cluster;
 use crate::{access::peer_secret::PeerSecret, peers::Peers as _};
 
-/// A daemon that reads less than so much of a log needs no copy of the map.
+/// A daemon that has to read less of a log than this needs no copy of the map.
 const SHORT_BYTES: u64 = 4 << 20;
 
-/// Why an open map of this daemon needs a copy of another daemon's.
+/// The reason why an open map of this daemon needs a copy of another daemon's map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CopyCause {
     /// The shared log begins behind the end of the own one.
     Behind,
-    /// An update has made other bits than the writer's.
+    /// An update has produced other bits than the writer's update.
     Diverged,
 }
 
-/// What the stream of a map has for a daemon that has nothing of it.
+/// The content of a map's stream, for a daemon that has nothing of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LogStart {
-    /// Whether it begins with its first message.
+    /// Whether the stream begins with its first message.
     pub is_whole: bool,
-    /// Whether reading it is as quick as a copy.
+    /// Whether reading the stream is as quick as a copy.
     pub is_short: bool,
 }
 
-/// The members that can give a copy of a map, with their addresses, those that do not write it first.
+/// The members that can give a copy of a map, with their addresses. The writer of the map comes last.
 fn donors(members: &Members, own: &str, uid: u64, writer: Option<&str>) -> Vec<(String, String)> {
     let holds = |(name, member): &(&String, &tidemap_cluster::membership::Member)| {
         let report = &member.report;
@@ -58,17 +58,17 @@ impl Cluster {
         self.0.waiting_maps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the daemons of the cluster prove themselves by.
+    /// The secret with which the daemons of the cluster authenticate themselves.
     pub(crate) fn secret(&self) -> PeerSecret {
         self.0.secret.clone()
     }
 
-    /// Why an open map needs a copy of another daemon's; `None`: it needs none. `is_diverged`: its newest update has
-    /// made other bits than the writer's.
+    /// The reason why an open map needs a copy of another daemon's map; `None`: it needs no copy. `is_diverged`: its
+    /// newest update has produced other bits than the writer's update.
     pub(crate) fn copy_cause(&self, uid: u64, is_diverged: bool) -> Option<CopyCause> {
         let status = self.replica_status(uid)?;
         match status.role {
-            // The bits of the writer are those that count, and so are the records that this daemon is to append.
+            // The bits of the writer count, and so do the records that this daemon will append.
             ReplicaRole::Writing | ReplicaRole::TakingOver | ReplicaRole::Ahead => None,
             _ if status.needs_copy => Some(CopyCause::Behind),
             _ => is_diverged.then_some(CopyCause::Diverged),
@@ -86,7 +86,7 @@ impl Cluster {
         found
     }
 
-    /// What the stream of a map has.
+    /// The content of the stream of a map.
     ///
     /// # Errors
     /// [`EngineError`].
@@ -97,7 +97,7 @@ impl Cluster {
         Ok(LogStart { is_whole, is_short })
     }
 
-    /// Why a map that this daemon is to hold is not held yet; `None`: it is.
+    /// Sets the reason why a map that this daemon must hold is not held yet; `None`: it is held.
     pub(crate) fn set_waiting(&self, uid: u64, why: Option<String>) {
         match why {
             Some(why) => self.waiting_maps().insert(uid, why),
@@ -105,12 +105,12 @@ impl Cluster {
         };
     }
 
-    /// Why a map that this daemon is to hold is not held yet.
+    /// The reason why a map that this daemon must hold is not held yet.
     pub(crate) fn waiting(&self, uid: u64) -> Option<String> {
         self.waiting_maps().get(&uid).cloned()
     }
 
-    /// What may be removed from the stream of a map, if this daemon writes it.
+    /// The part of a map's stream that may be removed, if this daemon writes the map.
     pub(crate) fn shortening(&self, uid: u64) -> Option<Shortening> {
         let is_writing = self.replica_status(uid)?.role == ReplicaRole::Writing;
         let covered = covered(&self.0.members.borrow().members, uid, self.settings().replicas);

@@ -1,8 +1,8 @@
-//! What operators ask of a cluster: who its members are, what this daemon is to each map, and which member is to write
-//! a map.
+//! The operations of a cluster for operators: they list its members, show the role of this daemon for each map, and
+//! choose the writer of a map.
 //!
-//! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, except for its next report, and
-//! nothing is decided about a log: a move changes an entry of the catalogue, and the writer follows it.
+//! Invariant: every reply contains this daemon's own view. Nothing here waits for another daemon, except for its next
+//! report, and nothing is decided about a log: a move changes an entry of the catalogue, and the writer follows it.
 
 use std::{collections::BTreeMap, sync::PoisonError, time::Instant};
 
@@ -19,10 +19,10 @@ use tidemap_store::{CopyError, EventLog as _, OpenError};
 
 use super::{Cluster, SharedLog};
 
-/// How often a change of the catalogue is tried again that another one came before.
+/// Number of attempts to change the catalogue, when another change came first.
 const ATTEMPTS: usize = 5;
 
-/// Why an operator's request is refused.
+/// The reason why an operator's request is refused.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OperationError {
     #[error("this daemon is not a member of a cluster: its config file has no section [cluster]")]
@@ -61,10 +61,10 @@ pub(crate) enum OperationError {
 #[derive(Clone, Debug)]
 pub(crate) struct ListedMap {
     pub name: String,
-    /// Number of the map; `None`: its entry is damaged.
+    /// Number of the map; `None`: the entry of the map is damaged.
     pub uid: Option<u64>,
     pub pinned: Option<String>,
-    /// Members that are to hold it, those first that may write it first.
+    /// Members that hold the map, in the order in which they may become its writer.
     pub holders: Vec<String>,
 }
 
@@ -73,7 +73,7 @@ fn unknown_member(members: &Members, member: &str) -> OperationError {
     OperationError::UnknownMember { member: member.chars().take(80).collect(), known }
 }
 
-/// Whether a member can be the one that writes a map.
+/// Checks that a member can be the writer of a map.
 fn check_target(members: &Members, member: &str, (map, uid): (&str, Option<u64>)) -> Result<(), OperationError> {
     let found = members.get(member).ok_or_else(|| unknown_member(members, member))?;
     let name = || member.to_owned();
@@ -107,13 +107,13 @@ impl Cluster {
     /// The members.
     ///
     /// # Errors
-    /// [`EngineError`] where they cannot be read now.
+    /// [`EngineError`] where the members cannot be read now.
     pub(crate) fn members(&self) -> Result<Members, EngineError> {
         let MembersView { members, trouble } = self.0.members.borrow().clone();
         trouble.map_or(Ok(members), Err)
     }
 
-    /// The members as this daemon saw them last, and why they cannot be read now.
+    /// The members as this daemon saw them last, and the reason why they cannot be read now.
     pub(crate) fn members_view(&self) -> MembersView {
         self.0.members.borrow().clone()
     }
@@ -134,7 +134,7 @@ impl Cluster {
         Ok(listing.maps.iter().map(listed).filter(|map| !is_deleted(map.uid)).collect())
     }
 
-    /// The maps that this daemon holds, for when the engine does not answer.
+    /// The maps that this daemon holds, for use when the engine does not reply.
     pub(crate) fn held_maps(&self) -> Vec<ListedMap> {
         let held = self.replicas();
         let listed = held.iter().map(|(&uid, replica)| ListedMap {
@@ -148,24 +148,24 @@ impl Cluster {
         listed
     }
 
-    /// What this daemon is to a map; `None`: it does not hold it.
+    /// The state of this daemon's replica of a map; `None`: this daemon does not hold the map.
     pub(crate) fn replica_status(&self, uid: u64) -> Option<ReplicaStatus> {
         self.replicas().get(&uid).map(|replica| replica.log.status().borrow().clone())
     }
 
-    /// What this daemon is to the maps that it holds.
+    /// The states of this daemon's replicas.
     pub(crate) fn replica_statuses(&self) -> Vec<ReplicaStatus> {
         self.replicas().values().map(|replica| replica.log.status().borrow().clone()).collect()
     }
 
-    /// The number of maps that this daemon does not hold, and whose writers it knows.
+    /// The number of maps that this daemon does not hold, and whose writers are known.
     pub(crate) fn known_elsewhere(&self) -> usize {
         let others = self.0.others.lock().unwrap_or_else(PoisonError::into_inner);
         others.iter().flat_map(BTreeMap::values).flatten().count()
     }
 
-    /// How far a member is with a map that this daemon writes, as it has reported, and where the log ends; `None`: this
-    /// daemon does not write it.
+    /// The position of a member in a map that this daemon writes, as the member has reported it, and the end of the
+    /// log; `None`: this daemon does not write the map.
     pub(crate) fn progress_of(&self, uid: u64, member: &str) -> Option<(Option<u64>, u64)> {
         let replicas = self.replicas();
         let log = replicas.get(&uid).map(|replica| &replica.log)?;
@@ -177,14 +177,14 @@ impl Cluster {
         Some((report.and_then(|report| report.logs.get(&uid).copied()), log.end()))
     }
 
-    /// Hands the log of a map over to a member, if this daemon writes it. Whether it was done is seen later.
+    /// Hands the log of a map over to a member, if this daemon writes it. The result shows later.
     pub(crate) fn hand_over(&self, uid: u64, to: String) {
         if let Some(replica) = self.replicas().get(&uid) {
             drop(replica.handle.hand_over(Some(to)));
         }
     }
 
-    /// The servers of the engine that answer.
+    /// The servers of the engine that reply.
     ///
     /// # Errors
     /// [`EngineError`].
@@ -192,7 +192,7 @@ impl Cluster {
         self.engine().servers().await
     }
 
-    /// What the engine says of the log of a map.
+    /// The state of a map's log, as the engine reports it.
     ///
     /// # Errors
     /// [`EngineError`].
@@ -200,7 +200,7 @@ impl Cluster {
         self.engine().health(&catalogue::stream(uid)).await
     }
 
-    /// Makes a member the one that is to write a map; `None`: the first candidate is.
+    /// Chooses a member as the writer of a map; `None`: the first candidate writes it.
     ///
     /// # Errors
     /// See [`OperationError`].
@@ -228,7 +228,7 @@ impl Cluster {
         Err(OperationError::Changed(map.to_owned()))
     }
 
-    /// As [`check_target`]. A member that has begun to hold the map tells so with its next report.
+    /// Does the same as [`check_target`]. A member that has begun to hold the map shows this in its next report.
     async fn wait_for_target(&self, member: &str, map: (&str, Option<u64>)) -> Result<(), OperationError> {
         let end = Instant::now() + 3 * membership::REPORT_EVERY;
         loop {
@@ -241,11 +241,11 @@ impl Cluster {
         }
     }
 
-    /// Deletes the map of a name from the cluster, if there is one, which this daemon does not hold or cannot use; with
-    /// a number: only the map of this number. Whether there was one.
+    /// Deletes the map of a name from the cluster, if there is one; this daemon does not hold it or cannot use it. With
+    /// a number, deletes only the map of this number. Returns whether there was a map.
     ///
     /// # Errors
-    /// [`EngineError`]; it can be tried again.
+    /// [`EngineError`]; the deletion can be tried again.
     pub(crate) async fn delete_unheld(&self, name: &MapName, uid: Option<u64>) -> Result<bool, EngineError> {
         let Some((entry, _)) = catalogue::find(self.engine(), name.as_str()).await? else { return Ok(false) };
         let found = entry.uid().filter(|found| uid.is_none_or(|uid| uid == *found));
@@ -280,7 +280,8 @@ impl Cluster {
         }
     }
 
-    /// Hands over the maps that this daemon writes and takes no new ones, until it is told otherwise or starts again.
+    /// Hands over the maps that this daemon writes and takes no new ones, until this is revoked or the daemon starts
+    /// again.
     pub(crate) fn drain(&self, is_draining: bool) {
         self.0.is_draining.send_replace(is_draining);
         self.0.changed.notify_one();

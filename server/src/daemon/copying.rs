@@ -1,6 +1,6 @@
-//! Copies that this daemon takes of maps of others, and the shortening of the logs that it writes.
+//! Takes copies of other daemons' maps, and shortens the logs that this daemon writes.
 //!
-//! Invariant: of each map one copy is taken at a time. A map that differs from its writer's is replaced once a day at
+//! Invariant: one copy of each map is taken at a time. A map that differs from its writer's is replaced once a day at
 //! most.
 
 use std::{
@@ -24,31 +24,31 @@ use crate::{
     task::Task,
 };
 
-/// A copy that nobody could give is asked for again after this time.
+/// Time after which a copy that no member could give is requested again.
 const AGAIN_AFTER: Duration = Duration::from_secs(10);
-/// A map that differs from its writer's is not replaced again before.
+/// Least time between two replacements of a map that differs from its writer's map.
 const DIVERGED_EVERY: Duration = Duration::from_secs(24 * 3600);
-/// A map that the shared log has left behind is not replaced again before: each time its folder is set aside.
+/// Least time between two replacements of a map that the shared log has left behind: each time its folder is set aside.
 const BEHIND_EVERY: Duration = Duration::from_secs(600);
-/// Copies that are taken at once.
+/// Maximum number of copies that are taken at once.
 const COPIES_MAX: usize = 2;
-/// How often a log is shortened at least.
+/// Longest time between two shortenings of a log.
 const SHORTEN_EVERY: Duration = Duration::from_secs(3600);
-/// A log is shortened in so many steps at once at most.
+/// Maximum number of steps in which a log is shortened at once.
 const STEPS_MAX: usize = 8;
 
-/// What becomes of a map that this daemon is to hold and has nothing of.
+/// The way in which a map joins this daemon, which must hold it and has nothing of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Join {
-    /// It reads the whole log.
+    /// The daemon reads the whole log.
     Read,
-    /// It takes a copy.
+    /// The daemon takes a copy.
     Copy,
-    /// It waits for somebody who can give a copy.
+    /// The daemon waits for a member that can give a copy.
     Wait,
 }
 
-/// `has_failed`: those that can give a copy were asked, and have not given one.
+/// `has_failed`: the members that can give a copy were requested to, and have not given one.
 fn join(start: LogStart, has_donors: bool, has_failed: bool) -> Join {
     match start {
         LogStart { is_whole: true, is_short: true } => Join::Read,
@@ -59,33 +59,33 @@ fn join(start: LogStart, has_donors: bool, has_failed: bool) -> Join {
     }
 }
 
-/// A copy that is to be taken.
+/// An order to take a copy.
 struct CopyOrder {
     uid: u64,
     name: MapName,
     spec: MapSpec,
-    /// The map in whose place it comes.
+    /// The map that the copy replaces.
     replaces: Option<MapId>,
-    /// Names and addresses of those who can give it.
+    /// Names and addresses of the members that can give the copy.
     donors: Vec<(String, String)>,
 }
 
-/// A copy that is being taken; whether it became a map.
+/// A copy that is being taken; returns whether it became a map.
 struct RunningCopy {
     ended: Task<bool>,
-    /// Whether an open map is to be replaced.
+    /// Whether the copy replaces an open map.
     is_replacement: bool,
 }
 
-/// What is known of copies and of shortened logs between two looks at the catalogue.
+/// The data about copies and shortened logs that is kept between two reads of the catalogue.
 pub(super) struct CopyNotes {
     client: Arc<CopyClient>,
     running: BTreeMap<u64, RunningCopy>,
-    /// When a copy has failed last.
+    /// Time of the last failed copy.
     failed: BTreeMap<u64, Instant>,
-    /// When a map was last replaced.
+    /// Time of the last replacement of a map.
     replaced: BTreeMap<u64, Instant>,
-    /// When a log was last shortened, and what was covered then.
+    /// Time of the last shortening of a log, and the covered position at that time.
     shortened: BTreeMap<u64, (Instant, u64)>,
 }
 
@@ -123,7 +123,8 @@ impl CopyNotes {
         self.failed.get(&uid).is_some_and(|failed| failed.elapsed() < AGAIN_AFTER)
     }
 
-    /// Begins to take a copy, unless enough of them are being taken: then it is asked for again at the next look.
+    /// Begins to take a copy, unless enough copies are being taken: then it is requested again after the next read of
+    /// the catalogue.
     fn start(&mut self, cluster: &Cluster, catalog: &Catalog, order: CopyOrder) {
         if self.running.len() >= COPIES_MAX {
             return;
@@ -134,8 +135,8 @@ impl CopyNotes {
         self.running.insert(uid, RunningCopy { ended, is_replacement });
     }
 
-    /// Takes a copy of a map of which this daemon has nothing, where that is the way to it. `true`: its log is to be
-    /// read instead.
+    /// Takes a copy of a map of which this daemon has nothing, if the map has to join by a copy. `true`: its log has to
+    /// be read instead.
     pub(super) async fn join(&mut self, cluster: &Cluster, catalog: &Catalog, uid: u64, spec: &MapSpec) -> bool {
         let Ok(start) = cluster.log_start(uid).await else { return false };
         let donors = cluster.donors(uid, &spec.name, None);
@@ -161,7 +162,7 @@ impl CopyNotes {
         false
     }
 
-    /// Takes a copy in the place of an open map that needs one.
+    /// Takes a copy to replace an open map that needs one.
     pub(super) fn replace(&mut self, cluster: &Cluster, catalog: &Catalog, uid: u64, name: &MapName) {
         let Ok(handle) = catalog.get(name.as_str()) else { return };
         let is_diverged = handle.digest().is_some_and(|digest| digest.is_equal == Some(false));
@@ -181,7 +182,7 @@ impl CopyNotes {
         self.start(cluster, catalog, order);
     }
 
-    /// Removes from the log of a map what checkpoints cover, if this daemon writes it.
+    /// Removes from the log of a map the records that checkpoints cover, if this daemon writes it.
     pub(super) fn shorten(&mut self, cluster: &Cluster, uid: u64, name: &MapName) {
         let Some(shortening) = cluster.shortening(uid) else { return };
         let known = self.shortened.get(&uid);
@@ -211,12 +212,12 @@ async fn ended_now(task: &mut Task<bool>) -> Option<bool> {
     now.ok().map(|ended| ended.unwrap_or(false))
 }
 
-/// Takes a copy of the first daemon that gives one, and makes it a map; gives whether it did.
+/// Takes a copy from the first daemon that gives one, and makes it a map; returns whether this succeeded.
 async fn take_copy(cluster: &Cluster, catalog: &Catalog, client: &CopyClient, order: CopyOrder) -> bool {
     let CopyOrder { uid, name, spec, replaces, donors } = order;
     let begun = Instant::now();
     let mut why = "no other daemon that runs holds the map".to_owned();
-    // Before much is fetched.
+    // This check comes before much data is fetched.
     let donors = match replaces.map_or_else(|| catalog.check_new(&spec), |_| Ok(())) {
         Ok(()) => donors,
         Err(error) => {

@@ -1,7 +1,7 @@
-//! Keeping this daemon as the catalogue of the cluster says: maps that it is to hold are created here, maps that were
-//! deleted are deleted, and replicas hear whether they may become writers.
+//! Keeps this daemon consistent with the catalogue of the cluster: creates the maps that it must hold, deletes the maps
+//! that were deleted, and sets for replicas whether they may become writers.
 //!
-//! Invariant: nothing is deleted because something is missing in the catalogue.
+//! Invariant: nothing is deleted only because it is missing in the catalogue.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -28,30 +28,30 @@ use crate::{
     task::Task,
 };
 
-/// How often the catalogue is looked at.
+/// Interval at which the catalogue is read.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// A daemon that is to write a map gets its log when it has everything that was there so long ago, so that the map
-/// stands still only for what came since.
+/// A daemon that must write a map gets its log when it has all records up to this time ago, so that the map stands
+/// still only for the records since then.
 const HAND_OVER_BEHIND: Duration = Duration::from_secs(2);
 
-/// How often forks are looked at.
+/// Interval at which forks are checked.
 const FORKS_EVERY: Duration = Duration::from_secs(10);
 
-/// A map that another daemon is to write.
+/// A map that another daemon must write.
 struct Leaving {
     to: String,
-    /// What that daemon must have.
+    /// The position up to which that daemon must have the log.
     end: u64,
     since: Instant,
 }
 
-/// What is known between two looks at the catalogue.
+/// The data that is kept between two reads of the catalogue.
 #[derive(Default)]
 struct KeepingNotes {
-    /// What was said, so that it is said once.
+    /// The messages that were logged, so that each is logged once.
     said: BTreeSet<String>,
-    /// By the number of the map.
+    /// The maps to hand over, by the number of the map.
     leaving: BTreeMap<u64, Leaving>,
     forks_seen: Option<Instant>,
 }
@@ -64,7 +64,7 @@ impl KeepingNotes {
         }
     }
 
-    /// Whether a map is to be handed over now, whose log ends at `end`, to a daemon that says that it has `has`.
+    /// Whether a map, whose log ends at `end`, is handed over now to a daemon that reports the position `has`.
     fn may_hand_over(&mut self, uid: u64, to: &str, (has, end): (Option<u64>, u64), now: Instant) -> bool {
         let new = || Leaving { to: to.to_owned(), end, since: now };
         let leaving = self.leaving.entry(uid).or_insert_with(new);
@@ -82,8 +82,8 @@ impl KeepingNotes {
     }
 }
 
-/// The daemon that is to write a map in place of this one, which has this rank, if it writes it: one that an operator
-/// has named, or the first one where this daemon is to hold the map no longer.
+/// The daemon that must write a map in place of this one, which has this rank, if this one writes it: a daemon that an
+/// operator has named, or the first one if this daemon no longer has to hold the map.
 fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<String> {
     let first = order.first()?;
     match rank {
@@ -93,17 +93,18 @@ fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<St
     }
 }
 
-/// Reports this daemon, and keeps it as the catalogue says, until the daemon stops or has to: another one has its name.
+/// Publishes the report of this daemon, and keeps it consistent with the catalogue, until the daemon stops or must stop
+/// because another one has its name.
 pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>, client: CopyClient) -> Option<NameTaken> {
     let keeping = async {
         let (mut notes, mut copies) = (KeepingNotes::default(), CopyNotes::new(client));
         while !catalog.is_stopping.load(Ordering::Relaxed) {
             keep_once(&cluster, &catalog, &mut notes, &mut copies).await;
-            // Whichever comes first.
+            // The wait ends with the first of the two.
             let _ = tokio::time::timeout(EVERY, cluster.changed()).await;
         }
     };
-    // What is read of the engine must not wait for the work on a map.
+    // Reads from the engine must not wait for the work on a map.
     let mut reporting = tokio::spawn(cluster.clone().keep_reporting());
     let taken = tokio::select! {
         () = keeping => None,
@@ -113,7 +114,7 @@ pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>, client: CopyCl
     taken
 }
 
-/// Why a daemon that runs as `keep` says has to end; for ever nothing, where it is no member of a cluster.
+/// The reason why a daemon that runs `keep` has to end; never returns if the daemon is not a member of a cluster.
 pub(super) async fn name_taken(keeping: Option<Task<Option<NameTaken>>>) -> NameTaken {
     if let Some(keeping) = keeping
         && let Ok(Some(taken)) = keeping.await
@@ -127,14 +128,14 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
     if matches!(cluster.members(), Err(EngineError::Missing(_))) {
         cluster.restore_buckets().await;
     }
-    // Whoever may write stays as it is while the engine does not tell.
+    // The candidates stay as they are while the engine does not reply.
     let Some(candidates) = cluster.candidates() else { return };
     let listing = match catalogue::list(cluster.engine()).await {
         Ok(listing) => listing,
         Err(EngineError::Missing(_)) => return cluster.restore_buckets().await,
         Err(_) => return,
     };
-    // First: a map that comes here takes a while, and others have it.
+    // This comes first: a new map takes a while, and other daemons already have it.
     find_writers(cluster, &listing).await;
     let mut listed = BTreeSet::new();
     for (name, map, _) in &listing.maps {
@@ -142,7 +143,8 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
             (Some(uid), Ok(name)) => {
                 listed.insert(uid);
                 if listing.deleted.contains(&uid) {
-                    // Whoever deleted it was interrupted. What fails now is tried again at the next look.
+                    // The deletion was interrupted. If this fails, it is tried again after the next read of the
+                    // catalogue.
                     drop(catalogue::delete(cluster.engine(), name.as_str(), uid).await);
                 } else {
                     let keeper = Keeper { cluster, catalog, candidates: &candidates };
@@ -161,7 +163,7 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
     find_writers(cluster, &listing).await;
 }
 
-/// Removes forks of a single group of which the map has everything.
+/// Removes forks of a single group whose content the map already has.
 async fn remove_known_forks(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes) {
     for (_, name) in cluster.held() {
         let Ok(handle) = catalog.get(name.as_str()) else { continue };
@@ -174,7 +176,7 @@ async fn remove_known_forks(cluster: &Cluster, catalog: &Catalog, notes: &mut Ke
     }
 }
 
-/// Finds out who writes the maps that this daemon does not hold, so that it can pass requests on.
+/// Finds the writers of the maps that this daemon does not hold, so that it can pass requests on.
 async fn find_writers(cluster: &Cluster, listing: &Listing) {
     let held: BTreeSet<u64> = cluster.held().into_iter().map(|(uid, _)| uid).collect();
     let is_elsewhere =
@@ -195,7 +197,7 @@ async fn find_writers(cluster: &Cluster, listing: &Listing) {
     cluster.set_others(others.map(|(name, map, _)| (name.clone(), map.uid().and_then(writer))).collect());
 }
 
-/// What a look at a map needs.
+/// The data for the work on one map.
 struct Keeper<'a> {
     cluster: &'a Cluster,
     catalog: &'a Catalog,
@@ -203,7 +205,7 @@ struct Keeper<'a> {
 }
 
 impl Keeper<'_> {
-    /// Tells the replica of a map its rank, or makes a replica where this daemon is to hold the map.
+    /// Sets the rank of a map's replica, or makes a replica where this daemon must hold the map.
     async fn keep_map(
         &self,
         (uid, name, map): (u64, &MapName, &ClusterMap),
@@ -240,7 +242,7 @@ impl Keeper<'_> {
     }
 }
 
-/// Hands a map that this daemon writes over to the daemon that is to write it, once that one has caught up.
+/// Hands a map that this daemon writes over to the daemon that must write it, once that one has caught up.
 fn hand_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>, notes: &mut KeepingNotes) {
     let Some((to, progress)) = to.and_then(|to| cluster.progress_of(uid, &to).map(|progress| (to, progress))) else {
         notes.leaving.remove(&uid);
@@ -252,7 +254,7 @@ fn hand_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>
     }
 }
 
-/// Deletes what was deleted, and lists again what the catalogue has forgotten.
+/// Deletes the maps that were deleted, and lists the maps again that the catalogue has forgotten.
 async fn keep_held(
     cluster: &Cluster,
     catalog: &Catalog,

@@ -1,6 +1,6 @@
 //! Opens the data folder and the maps in it.
 //!
-//! Invariant: what was found in the folder is in the log before a map is served.
+//! Invariant: the state of the folder is written to the log before a map is served.
 
 use std::{os::unix::fs::PermissionsExt as _, path::Path, sync::Arc};
 
@@ -28,7 +28,7 @@ use crate::{
 /// Opens the store of the settings, on a blocking thread.
 ///
 /// # Errors
-/// Another daemon has it, or it cannot be used.
+/// Another daemon has the store, or it cannot be used.
 pub(super) async fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Arc<Store>, DaemonError> {
     let for_store = settings.clone();
     let open = move || open_now(&for_store, disk);
@@ -55,8 +55,8 @@ fn open_now(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonErr
     })
 }
 
-/// Opens the maps; gives those that are served from the index, and have to be restored. `fatal` hears of a storage that
-/// fails, `forks` of maps whose logs are not those that daemons share.
+/// Opens the maps; returns the maps that are served from the index, and have to be restored. `fatal` receives failures
+/// of the storage, `forks` the maps whose logs differ from the shared ones.
 ///
 /// # Errors
 /// A map cannot be opened, and cannot be set aside.
@@ -97,7 +97,7 @@ pub(super) async fn open_catalog(
     Ok((catalog, rest))
 }
 
-/// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
+/// Removes the permissions of other users on the data folder, which an earlier version or a copy may have given.
 fn close_to_others(folder: &Path) {
     let mode = match std::fs::metadata(folder) {
         Ok(metadata) => metadata.permissions().mode() & 0o777,
@@ -114,7 +114,7 @@ fn close_to_others(folder: &Path) {
     }
 }
 
-/// Writes to the log which folder was opened, and what was found in it.
+/// Writes to the log the opened folder and the state that was found in it.
 fn tell_state(store: &Store, folder: &Path) {
     let (id, folder) = (store.store_id(), folder.display());
     if store.is_new() {
@@ -140,7 +140,7 @@ fn tell_state(store: &Store, folder: &Path) {
 
 /// Makes a span of each group commit.
 fn follow_commits(catalog: &Arc<Catalog>) {
-    // Weak, because the catalog holds the store.
+    // This reference is weak, because the catalog holds the store.
     let maps = Arc::downgrade(catalog);
     catalog.context().store.follow_commits(Box::new(move |map, records, bytes| {
         let span = Span::root("commit");

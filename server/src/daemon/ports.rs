@@ -1,6 +1,6 @@
-//! The ports: who may connect, and what is served to whom.
+//! The ports: which callers may connect, and which data each caller may get.
 //!
-//! Invariant: both ports are bound before anything is served, and stop when they are told.
+//! Invariant: both ports are bound before anything is served, and stop when they are ordered to.
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
@@ -32,31 +32,31 @@ use crate::{
     web::{self, KnownHosts, Recordings},
 };
 
-/// Time for connections to close after their streams got a goodbye.
+/// Time limit for connections to close after their streams got a goodbye.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 /// A connection of the gRPC port without a request for this long may make room for another.
 const GRPC_IDLE_AFTER: Duration = Duration::from_secs(60);
-/// What the system keeps of a reply that is not read; it takes twice as much.
+/// The bytes of an unread reply that the system keeps; it uses twice as much memory.
 const HTTP_SEND_BUFFER_BYTES: usize = 64 << 10;
-/// Limits of its reserve, for those who ask whether the daemon lives.
+/// Limits of the reserve of the HTTP port, for probes that check whether the daemon lives.
 const PROBE_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 32, per_client: 4, idle_after: Duration::ZERO };
 /// Connections that wait until they are accepted: a whole fleet may come back at once. The system may allow fewer.
 const BACKLOG: i32 = 4096;
-/// Descriptors that connections leave to files.
+/// Number of descriptors that connections leave free for files.
 const FILE_DESCRIPTORS: usize = 512;
 
 /// The protection of the ports: TLS, and tokens.
 pub(super) struct Protection {
-    /// The files of TLS, followed from before they are read.
+    /// The files of TLS, watched from before the first read.
     followed: FileWatch,
     grpc_tls: Option<Tls>,
     http_tls: Option<Tls>,
-    /// How callers are checked.
+    /// The check of callers.
     pub access: Access,
 }
 
 impl Protection {
-    /// Loads what the settings name. The file of tokens is followed from now on.
+    /// Loads the files that the settings name. The file of tokens is watched from now on.
     ///
     /// # Errors
     /// A file cannot be used.
@@ -66,7 +66,7 @@ impl Protection {
     }
 }
 
-/// The files of TLS, followed from before they are read, and the TLS of both ports, if it is configured.
+/// The files of TLS, watched from before the first read, and the TLS of both ports, if it is configured.
 fn load_tls(settings: &Settings) -> Result<(FileWatch, Option<Tls>, Option<Tls>), DaemonError> {
     let files = settings.tls_files();
     let followed = FileWatch::new("certificates", files.as_ref().map_or_else(Vec::new, TlsFiles::paths));
@@ -77,7 +77,7 @@ fn load_tls(settings: &Settings) -> Result<(FileWatch, Option<Tls>, Option<Tls>)
     Ok((followed, load(Protocol::Http2)?, load(Protocol::Http1)?))
 }
 
-/// How callers are checked. The file of tokens is followed from now on.
+/// The check of callers. The file of tokens is watched from now on.
 fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
     let path = &settings.tokens_file;
     if path.as_os_str().is_empty() {
@@ -90,8 +90,8 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
     Ok(Access::Tokens(keyring))
 }
 
-/// What the HTTP port serves of maps. Where tokens are asked for, they decide; without, the port is for reading, and
-/// browsers must reach it by a name that the operator knows.
+/// The maps that the HTTP port serves. Where tokens are required, they decide. Without tokens, the port is read-only,
+/// and browsers must reach it by a name that the operator has set.
 fn web(
     services: &Services,
     access: &Access,
@@ -108,7 +108,7 @@ fn web(
     web::router(&services.guarded(access.clone()), services.guarded_queries(access), recordings, hosts)
 }
 
-/// The names by which browsers may reach the HTTP port; any, where tokens are asked for.
+/// The names by which browsers may reach the HTTP port; any name, where tokens are required.
 pub(super) fn known_hosts(access: &Access, settings: &Settings) -> KnownHosts {
     match access {
         Access::Tokens(_) => KnownHosts::any(),
@@ -116,27 +116,27 @@ pub(super) fn known_hosts(access: &Access, settings: &Settings) -> KnownHosts {
     }
 }
 
-/// What is served on the ports.
+/// The running ports.
 pub(super) struct Ports {
     grpc: JoinHandle<anyhow::Result<()>>,
     http: JoinHandle<anyhow::Result<()>>,
-    /// Where the gRPC port listens.
+    /// Address of the gRPC port.
     pub grpc_address: SocketAddr,
-    /// Where the HTTP port listens.
+    /// Address of the HTTP port.
     pub http_address: SocketAddr,
-    /// Becomes true when they have to stop.
-    // A channel and not a notification: a port that starts to wait late still sees the stop.
+    /// Becomes true when the ports have to stop.
+    // This is a channel and not a notification: a port that starts to wait late still sees the stop.
     stop: watch::Sender<bool>,
 }
 
-/// What the ports serve.
+/// The services of the ports.
 pub(super) struct Served<'a> {
     pub settings: &'a Settings,
     pub catalog: &'a Arc<Catalog>,
     pub metrics: http::Metrics,
     /// Becomes true when the daemon stops.
     pub stopping: watch::Receiver<bool>,
-    /// Hears of a storage that fails.
+    /// Receives failures of the storage.
     pub fatal: mpsc::UnboundedSender<String>,
 }
 
@@ -191,12 +191,12 @@ impl Ports {
         DaemonError::Other(anyhow::anyhow!("the {name} port closed: {ended:?}"))
     }
 
-    /// Stops the ports. Whatever the daemon ends of: who has an open stream is told before the process is gone.
+    /// Stops the ports. For any reason of the stop, a client with an open stream is notified before the process ends.
     pub(super) async fn stop(self) {
         self.stop.send_replace(true);
         let closed = async {
             for task in [self.grpc, self.http] {
-                // What has ended must not be asked again.
+                // A task that has ended must not be awaited again.
                 if !task.is_finished() {
                     let _ = task.await;
                 }
@@ -245,7 +245,7 @@ fn accept_grpc(
 
 /// The connections of the HTTP port, and those of its reserve.
 fn accept_http(port: TcpListener, tls: Option<Tls>) -> [mpsc::Receiver<std::io::Result<Accepted>>; 2] {
-    // Replies wait where they are counted, and not in the system, whose memory is the pod's as well.
+    // Replies wait where they are counted, and not in the system, whose memory also belongs to the pod.
     if let Err(error) = rustix::net::sockopt::set_socket_send_buffer_size(&port, HTTP_SEND_BUFFER_BYTES) {
         warn!(%error, "the system keeps as much of unread replies as it likes");
     }
@@ -280,7 +280,7 @@ fn connection_limits(settings: &Settings) -> ConnectionLimits {
 /// Binds the ports.
 ///
 /// # Errors
-/// One is taken.
+/// A port is taken.
 pub(super) async fn listen_on_ports(settings: &Settings) -> Result<[TcpListener; 2], DaemonError> {
     let listen = async |address: &str, option| {
         let listener = TcpListener::bind(address).await.and_then(|listener| {

@@ -1,7 +1,8 @@
-//! Publishes observations as they are applied, with the models in force, to those who watch for anomalies.
+//! Publishes observations as they are applied, with the models in force, to the watchers of anomalies.
 //!
-//! Invariant: publishing never waits, and costs nothing without watchers. A piece is dropped when all have read it; a
-//! bounded number of unread pieces is kept. Pieces keep no models alive: the writer keeps those of two generations.
+//! Invariant: publishing never waits, and costs nothing without watchers. A piece is dropped when all watchers have
+//! read it; a bounded number of unread pieces is kept. Pieces keep no models alive: the writer keeps those of two
+//! generations.
 
 use std::sync::{Arc, Weak};
 
@@ -17,30 +18,30 @@ const PIECE: usize = 4096;
 const PIECES: usize = 64;
 /// Maximum number of events of scans that wait for a watcher, each at most as large as a message.
 const SCAN_PIECES: usize = 16;
-/// Generations whose models are kept for watchers: the one in force and the one before.
+/// Number of generations whose models are kept for watchers: the one in force and the one before.
 const GENERATIONS: usize = 2;
 
 /// Observations that were applied one after another.
 #[derive(Debug, Default)]
 pub(crate) struct FeedPiece {
-    /// The models that were in force; gone after two more updates.
+    /// The models that were in force; dropped after two more updates.
     pub models: Weak<MapView>,
     /// Number of observations sent before this piece.
     pub before: u64,
-    /// Per observation: the state.
+    /// The state of each observation.
     pub states: Vec<StateId>,
-    /// Per observation: time in nanoseconds UTC.
+    /// The time of each observation, nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per observation: its value.
+    /// The value of each observation.
     pub values: Vec<f64>,
 }
 
 /// Scans that were applied.
 #[derive(Debug)]
 pub(crate) struct FeedScans {
-    /// As [`FeedPiece::models`].
+    /// The models that were in force, as in [`FeedPiece::models`].
     pub models: Weak<MapView>,
-    /// Number of scans sent before.
+    /// Number of scans sent before this message.
     pub before: u64,
     /// The scans.
     pub event: Scans,
@@ -50,35 +51,35 @@ pub(crate) struct FeedScans {
 #[derive(Debug)]
 pub(crate) enum FeedMessage {
     Applied(FeedPiece),
-    /// Only to those who watch cells.
+    /// Scans, only for watchers of cells.
     Scanned(FeedScans),
     /// The map stops.
     End(Ending),
 }
 
-/// The watcher's end.
+/// The watcher's end of the channel.
 pub(crate) type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
 
-/// What a watcher of cells begins with.
+/// The start of a watch of cells.
 #[derive(Debug)]
 pub(crate) struct CellFeed {
-    /// Scans to come.
+    /// The receiver of the scans from now on.
     pub scans: FeedReceiver,
     /// Number of scans sent before.
     pub sent: u64,
-    /// The view with all scans before.
+    /// The view that contains all scans before.
     pub view: Arc<MapView>,
 }
 
-/// The writer's end.
+/// The writer's end of the feed.
 #[derive(Debug)]
 pub(crate) struct AnomalyFeed {
     sender: broadcast::Sender<Arc<FeedMessage>>,
-    /// Applied, and not public yet.
+    /// Observations that are applied and not public yet.
     waiting: Vec<FeedPiece>,
     /// Number of observations sent so far.
     sent: u64,
-    /// To those who watch cells.
+    /// The channel to the watchers of cells.
     scans: broadcast::Sender<Arc<FeedMessage>>,
     waiting_scans: Vec<Scans>,
     /// Number of scans sent so far.
@@ -102,13 +103,13 @@ impl Default for AnomalyFeed {
 }
 
 impl AnomalyFeed {
-    /// Subscribes a watcher; gives the receiver, and the number of observations sent before. If others watched already,
-    /// observations that are applied and not public yet come too.
+    /// Subscribes a watcher; returns the receiver, and the number of observations sent before. If there were watchers
+    /// already, the new one also receives observations that are applied and not public yet.
     pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.sent)
     }
 
-    /// Subscribes a watcher of cells, after everything that was applied has been told with this view.
+    /// Subscribes a watcher of cells, after all applied scans have been sent with this view.
     pub(crate) fn listen_to_cells(&self, view: Arc<MapView>) -> CellFeed {
         CellFeed { scans: self.scans.subscribe(), sent: self.sent_scans, view }
     }
@@ -137,7 +138,7 @@ impl AnomalyFeed {
         }
     }
 
-    /// Sends what was collected, after this view has been published.
+    /// Sends the collected observations and scans, after this view has been published.
     pub(crate) fn tell(&mut self, view: &MapView) {
         let (waiting, scans) = (std::mem::take(&mut self.waiting), std::mem::take(&mut self.waiting_scans));
         if self.sender.receiver_count() + self.scans.receiver_count() == 0 {
@@ -165,7 +166,7 @@ impl AnomalyFeed {
         }
     }
 
-    /// Tells the watchers that the map stops.
+    /// Notifies the watchers that the map stops.
     pub(crate) fn end(&self, ending: Ending) {
         // There may be no watcher.
         let message = Arc::new(FeedMessage::End(ending));

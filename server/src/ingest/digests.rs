@@ -1,42 +1,42 @@
-//! What the updates of a replica have made, compared with what the log says that its writer's have made.
+//! Compares the results of a replica's updates with those of the writer's updates, which the log records.
 //!
-//! The replica's own update may end before or after the log says that the writer's has ended. Of each side only the
-//! newest generation is kept: the log begins no update before it has said what the one before has made.
+//! The replica's own update may end before or after the log records the end of the writer's update. Only the newest
+//! generation of each side is kept: the log begins no update before it has recorded the result of the one before.
 //!
-//! Invariant: digests are compared only of one generation and of one maths.
+//! Invariant: two digests are compared only if they have the same generation and the same maths.
 
 use tidemap_map::event::{Digest, UpdateDone};
 
-/// What a comparison says.
+/// The result of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DigestVerdict {
-    /// The replica has the writer's bits.
+    /// The replica has the same bits as the writer.
     Equal,
-    /// It has others.
+    /// The replica has other bits than the writer.
     Differs {
-        /// What its own update has made.
+        /// The digest of the replica's own update.
         own: Digest,
-        /// What the log says.
+        /// The digest in the log.
         logged: Digest,
     },
-    /// The two come from different maths, so that their bits may differ.
+    /// The two updates have different maths, so their bits may differ.
     OtherMaths,
 }
 
 /// The newest digest of a replica.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DigestStatus {
-    /// The generation.
+    /// The generation of the digest.
     pub generation: u64,
-    /// What the replica's own update has made.
+    /// The digest of the replica's own update.
     pub digest: Digest,
-    /// Whether the writer's update has made the same; `None`: nothing was to be compared yet, or the replica is the
+    /// Whether the writer's update has the same digest; `None`: there was nothing to compare yet, or the replica is the
     /// writer, or the maths differ.
     pub is_equal: Option<bool>,
 }
 
-/// The digests of a replica. One that was restored knows no digest of its own until its next update has ended: there is
-/// nothing to compare before.
+/// The digests of a replica. A restored replica has no digest of its own until its next update has ended: before, there
+/// is nothing to compare.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Digests {
     own: Option<UpdateDone>,
@@ -47,35 +47,35 @@ pub(crate) struct Digests {
 }
 
 impl Digests {
-    /// `logged`: what the log says of its last update, where it does.
+    /// `logged`: the last update whose result the log contains, if it contains one.
     pub(crate) fn new(logged: Option<UpdateDone>) -> Self {
         Self { logged, ..Self::default() }
     }
 
-    /// An update has begun. What the ones before have made need not be said any more.
+    /// Records the beginning of an update. The results of earlier updates no longer need to be logged.
     pub(crate) fn begin(&mut self, generation: u64) {
         self.begun = generation;
     }
 
-    /// The replica's own update has ended.
+    /// Records the end of the replica's own update.
     pub(crate) fn made(&mut self, own: UpdateDone) -> Option<DigestVerdict> {
         self.own = Some(own);
         self.verdict = None;
         self.compare()
     }
 
-    /// The log says that the writer's update has ended.
+    /// Records that the log contains the end of the writer's update.
     pub(crate) fn read(&mut self, logged: UpdateDone) -> Option<DigestVerdict> {
         self.logged = Some(logged);
         self.compare()
     }
 
-    /// The log says what this replica, as the writer, has told it.
+    /// Records that the log contains the result that this replica, as the writer, has appended.
     pub(crate) fn said(&mut self, logged: UpdateDone) {
         self.logged = Some(logged);
     }
 
-    /// The end of an update that the log does not say yet, and that the writer owes it.
+    /// The end of an update that is not in the log yet, and that the writer still has to append.
     pub(crate) fn owed(&self) -> Option<UpdateDone> {
         let logged = self.logged.map_or(0, |logged| logged.generation);
         self.own.filter(|own| own.generation > logged && own.generation >= self.begun)
@@ -149,7 +149,7 @@ mod tests {
     fn after_a_restart_nothing_is_compared_that_only_the_log_knows() {
         let mut digests = Digests::new(Some(done(3, 5)));
         assert_eq!((digests.status(), digests.owed()), (None, None));
-        // Its last update is repeated, because nothing was saved of it.
+        // The last update is repeated, because none of its result was saved.
         assert_eq!(digests.made(done(3, 5)), Some(DigestVerdict::Equal));
         let mut saved = Digests::new(None);
         assert_eq!(saved.read(done(3, 5)), None, "the own one was saved, and its digest is not known");
@@ -177,7 +177,7 @@ mod tests {
         digests.made(done(3, 6));
         digests.begin(4);
         assert_eq!(digests.owed(), None, "the writer before could not say it, and the log goes on");
-        // The writer before it has said it already.
+        // The previous writer has already logged it.
         digests.read(done(4, 7));
         digests.made(done(4, 7));
         assert_eq!(digests.owed(), None);

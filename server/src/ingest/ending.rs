@@ -1,6 +1,6 @@
-//! Why streams and maps end, and which errors of the log end the daemon.
+//! The reasons why streams and maps end, and the errors of the log that end the daemon.
 //!
-//! Invariant: after an error that is fatal the daemon serves nothing more, because the content of the disk is unknown.
+//! Invariant: after a fatal error the daemon serves nothing more, because the content of the disk is unknown.
 
 use tidemap_store::AppendError;
 
@@ -12,30 +12,30 @@ pub(crate) fn is_fatal(error: &AppendError) -> bool {
     )
 }
 
-/// Why the server ends a stream.
+/// The reason why the server ends a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
     /// The daemon stops.
     Shutdown,
     /// Another stream of the key took over.
     Superseded,
-    /// Another stream of the key took over, because the client of this one did not answer.
+    /// Another stream of the key took over, because the client of this one did not reply.
     Unanswered,
     /// The map was deleted.
     MapDeleted,
-    /// Something is erased from the map.
+    /// An erasure from the map has begun.
     Erasure,
     /// Another daemon writes the map.
     Moved {
-        /// The daemon that does, where it is known.
+        /// The daemon that writes the map, where it is known.
         writer: Option<String>,
     },
-    /// The log of the map and the one that daemons share differ.
+    /// The log of the map and the shared log differ.
     Forked {
-        /// The last position that both have.
+        /// The last position that both logs have.
         common: u64,
     },
-    /// A copy of another daemon's map takes its place.
+    /// A copy of another daemon's map replaces the map.
     Replaced,
     /// The log could not be written.
     Storage(AppendError),

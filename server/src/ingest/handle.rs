@@ -1,6 +1,6 @@
-//! The handle of a map, for everybody except its writer.
+//! The handle of a map, for all users except its writer.
 //!
-//! A map that is being opened has its handle before its writer: readers get the view of what the index publishes, and
+//! A map that is being opened has a handle before it has a writer: readers get the view that the index publishes, and
 //! commands wait for the writer.
 //!
 //! Invariant: reading never waits, and the map changes only by commands to its writer.
@@ -23,40 +23,40 @@ use tokio::sync::{oneshot, watch};
 use super::{digests::DigestStatus, ending::Ending, protocol::Command, role::MapRole, tile_totals::TileTotals};
 use crate::clock::Clock;
 
-/// Numbers of handles.
+/// The number of the next handle.
 static HANDLES: AtomicU64 = AtomicU64::new(1);
 
-/// How far the opening of a map is.
+/// The progress of opening a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OpenProgress {
-    /// Its checkpoint is being loaded, or records of its log are being replayed.
+    /// The checkpoint is being loaded, or records of the log are being replayed.
     Replay {
-        /// Records replayed.
+        /// Number of replayed records.
         done: u64,
-        /// Records to replay; 0 while the checkpoint is loaded.
+        /// Number of records to replay; 0 while the checkpoint is loaded.
         total: u64,
     },
-    /// It is open.
+    /// The map is open.
     Open,
 }
 
-/// What a view shows.
+/// The position and generation of a view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown {
-    /// Log position of the last event.
+    /// Log position of the last event in the view.
     pub position: u64,
-    /// Number of the generation.
+    /// Number of the generation in the view.
     pub generation: u64,
 }
 
 impl Shown {
-    /// What a view shows.
+    /// The position and generation of this view.
     pub(super) fn of(view: &MapView) -> Self {
         Self { position: view.position(), generation: view.generation() }
     }
 }
 
-/// The endpoints of a map's writer: what it shares with the handle.
+/// The endpoints of a map's writer, which it shares with the handle.
 pub(crate) struct WriterEndpoints {
     pub(super) view: Arc<ArcSwap<MapView>>,
     pub(super) commands: mpsc::Sender<Command>,
@@ -70,7 +70,8 @@ pub(crate) struct WriterEndpoints {
 }
 
 impl WriterEndpoints {
-    /// Hands the writer what a replica tells. After the writer has stopped nothing of it is done.
+    /// A listener that passes the events of a replica to the writer. After the writer has stopped, the events are
+    /// ignored.
     pub(crate) fn replica_listener(&self) -> ReplicaListener {
         let commands = self.commands.clone();
         Arc::new(move |event| drop(commands.send(Command::Replica(event))))
@@ -80,13 +81,13 @@ impl WriterEndpoints {
 /// The handle of a map.
 #[derive(Debug)]
 pub(crate) struct MapHandle {
-    /// Its number in the store.
+    /// Number of the map in the store.
     pub id: MapId,
-    /// Number of this handle; each has another.
+    /// Number of this handle; each handle has a different one.
     pub number: u64,
     /// The fixed properties of the map.
     pub spec: Arc<MapSpec>,
-    /// Its number in the cluster; `None`: the log is this daemon's alone.
+    /// Number of the map in the cluster; `None`: the log belongs to this daemon alone.
     pub shared_uid: Option<u64>,
     view: Arc<ArcSwap<MapView>>,
     clock: Arc<dyn Clock>,
@@ -99,13 +100,14 @@ pub(crate) struct MapHandle {
     shown: watch::Receiver<Shown>,
     /// Whether the map has another handle, and may have other ids of states.
     replaced: AtomicBool,
-    // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
+    // The totals have a lock, because those of a generation are counted once; it is held to copy them, not while
+    // counting.
     tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
 
 impl MapHandle {
-    /// The handle of a map that shows `view`, and the endpoints of its writer. A map with a number in a cluster is
-    /// written by another daemon, as far as is known, until its replica says something else.
+    /// The handle of a map that shows `view`, and the endpoints of its writer. A map with a number in a cluster counts
+    /// as written by another daemon until its replica reports something else.
     pub(crate) fn with_endpoints(
         (id, shared_uid): (MapId, Option<u64>),
         spec: Arc<MapSpec>,
@@ -155,17 +157,18 @@ impl MapHandle {
         (handle, endpoints)
     }
 
-    /// Another handle takes the place of this one.
+    /// Marks this handle as replaced by another one.
     pub(crate) fn replace(&self) {
         self.replaced.store(true, Ordering::SeqCst);
     }
 
-    /// Whether another handle has the map. What was read from the store before this says `false` belongs to the view.
+    /// Whether another handle has the map. If this returns `false` after a read of the store, the read data belongs to
+    /// the view.
     pub(crate) fn is_replaced(&self) -> bool {
         self.replaced.load(Ordering::SeqCst)
     }
 
-    /// How far the opening of the map is.
+    /// The progress of opening the map.
     pub(crate) fn opening(&self) -> OpenProgress {
         *self.opening.borrow()
     }
@@ -175,12 +178,13 @@ impl MapHandle {
         self.opening.clone().wait_for(|opening| *opening == OpenProgress::Open).await.is_ok()
     }
 
-    /// Memory of the models and sums of tiles, in bytes, about.
+    /// Memory of the models and sums of tiles, in bytes, approximately.
     pub(crate) fn tile_bytes(&self) -> u64 {
         self.tile_bytes.load(Ordering::Relaxed)
     }
 
-    /// What the generation in force has learned of the tiles. Reads tiles that are not in memory once per generation.
+    /// The totals of the tiles that the generation in force has learned. Reads tiles that are not in memory once per
+    /// generation.
     pub(crate) fn tile_totals(&self) -> TileTotals {
         let view = self.view();
         let known = *self.tile_totals.lock().unwrap_or_else(PoisonError::into_inner);
@@ -194,52 +198,51 @@ impl MapHandle {
         }
     }
 
-    /// The current view; never waits. What states that report changes are now, it says as of the clock.
+    /// The current view; never waits. For states that report changes, the view has the current value by the clock.
     pub(crate) fn view(&self) -> Arc<MapView> {
         let view = self.view.load_full();
         if view.depends_on_now() { Arc::new(view.as_of(self.clock.now_nanos())) } else { view }
     }
 
-    /// What this daemon is to the map.
+    /// The role of this daemon for the map.
     pub(crate) fn role(&self) -> MapRole {
         self.role.borrow().clone()
     }
 
-    /// The newest digest of what an update has made here; `None` before the first, and where daemons do not share the
-    /// log.
+    /// The newest digest of an update here; `None` before the first update, and where the log is not shared.
     pub(crate) fn digest(&self) -> Option<DigestStatus> {
         *self.digest.borrow()
     }
 
-    /// Follows what this daemon is to the map.
+    /// A receiver of this daemon's role for the map.
     pub(crate) fn watch_role(&self) -> watch::Receiver<MapRole> {
         self.role.clone()
     }
 
-    /// What the current view shows.
+    /// The position and generation of the current view.
     pub(crate) fn shown(&self) -> Shown {
         Shown::of(&self.view.load())
     }
 
-    /// Waits until the view shows so much, for a bounded time; gives whether it does.
+    /// Waits until the view reaches a state, for a bounded time; returns whether it does.
     pub(crate) async fn shows(&self, reaches: impl Fn(Shown) -> bool, within: Duration) -> bool {
-        // The writer may have stopped: the view stays as it is.
+        // The writer may have stopped: then the view stays as it is.
         let _ = tokio::time::timeout(within, self.shown.clone().wait_for(|shown| reaches(*shown))).await;
         reaches(self.shown())
     }
 
-    /// Log position of the last event that the view shows.
+    /// Log position of the last event in the view.
     pub(crate) fn position(&self) -> u64 {
         self.view.load().position()
     }
 
-    /// Number of the generation that the view shows.
+    /// Number of the generation in the view.
     #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
     pub(crate) fn generation(&self) -> u64 {
         self.view.load().generation()
     }
 
-    /// As [`WriterEndpoints::replica_listener`].
+    /// Does the same as [`WriterEndpoints::replica_listener`].
     #[cfg(test)]
     pub(crate) fn replica_listener(&self) -> ReplicaListener {
         let commands = self.commands.clone();
@@ -256,7 +259,7 @@ impl MapHandle {
         self.saturated.clone()
     }
 
-    /// Stops the writer, after everything in flight is answered.
+    /// Stops the writer, after all records in flight are acknowledged.
     pub(crate) async fn stop(&self, ending: Ending) {
         let (done, stopped) = oneshot::channel();
         if self.send(Command::Stop { ending, done }) {

@@ -1,9 +1,9 @@
 //! Checks the observations, scans and traversals of one stream, in the stream's own task, before the map's writer gets
 //! them.
 //!
-//! Invariant: sequence numbers go up by one; what was taken before is skipped, a gap ends the stream. An invalid
-//! observation is refused by itself and uses up its number. If a name has no declared kind, the map's writer checks its
-//! values, because it knows the state.
+//! Invariant: sequence numbers go up by one. Observations that were taken before are skipped; a gap ends the stream. An
+//! invalid observation is refused alone and uses up its number. If a name has no declared kind, the map's writer checks
+//! its values, because it has the state.
 
 use std::ops::RangeInclusive;
 
@@ -39,7 +39,7 @@ use known_content::KnownContent;
 use scans::ScanIntake;
 
 const DETAIL_CHARS_MAX: usize = 200;
-/// Observations of labels in one message: each becomes up to 64 in the event.
+/// Maximum number of observations of labels in one message: each becomes up to 64 observations in the event.
 const LABELS_MAX: usize = 4096;
 /// Bytes of a stream's table per name: the longest name of ASCII characters. Invalid names are kept too, for the CRC,
 /// and may be as long as a message.
@@ -47,7 +47,7 @@ const TABLE_BYTES_PER_NAME: usize = 128;
 /// Bytes that a table may take even if it may hold only few names.
 const TABLE_BYTES_MIN: usize = 1 << 20;
 
-/// Why a message ends its stream.
+/// The reason why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum IntakeError {
     #[error(transparent)]
@@ -72,14 +72,14 @@ impl From<ScanError> for IntakeError {
     }
 }
 
-/// What one stream may send.
+/// The limits of one stream.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct IntakeLimits {
-    /// Observations of one message.
+    /// Maximum number of observations of one message.
     pub batch: usize,
-    /// Names of the stream.
+    /// Maximum number of names of the stream.
     pub table: usize,
-    /// Scans.
+    /// The limits of scans.
     pub scans: ScanLimits,
 }
 
@@ -91,14 +91,14 @@ struct TableEntry {
     shape: Option<StateShape>,
 }
 
-/// The observations of a message that are more than one number, each with its index; ascending.
+/// The observations of a message that have more than one number, each with its index; ascending.
 #[derive(Debug, Default)]
 struct ManyNumbers {
     positions: Vec<(u32, Position)>,
     shares: Vec<(u32, Box<[f64]>)>,
 }
 
-/// Reads them in order.
+/// Reads these observations in order.
 struct ManyNumbersReader<'a> {
     positions: &'a [(u32, Position)],
     shares: &'a [(u32, Box<[f64]>)],
@@ -133,7 +133,7 @@ impl<'a> ManyNumbersReader<'a> {
 
 impl TableEntry {
     /// Whether the state may have the position or the shares, or the value if there are none, as far as is known here.
-    /// NaN is that of a state that reports changes or events.
+    /// NaN is the value of a state that reports changes or events.
     fn may_have(
         &self,
         value: f64,
@@ -150,12 +150,12 @@ impl TableEntry {
         }
     }
 
-    /// Whether an observation says that a label holds.
+    /// Whether the name is a label, so that its observation means that this label holds.
     fn is_label(&self) -> bool {
         self.shape == Some(StateShape::Categorical(0))
     }
 
-    /// What its values must be, as far as is known here.
+    /// The shape that the values must have, as far as is known here.
     fn expected_shape(&self) -> StateShape {
         self.shape.unwrap_or(StateShape::Scalar(StateKind::Continuous))
     }
@@ -179,16 +179,16 @@ pub(crate) struct Intake {
     /// Whether any name of the table is a vector.
     has_vectors: bool,
     limits: IntakeLimits,
-    /// Earlier times are refused.
+    /// Observations with earlier times are refused.
     earliest_nanos: i64,
-    /// What the stream says about how its states are reported.
+    /// The reporting of the states that the stream has stated.
     reporting: Option<StatedReporting>,
     rows: Vec<u8>,
     scans: ScanIntake,
 }
 
 impl Intake {
-    /// A stream of which everything up to `durable_sequence` was taken, with this CRC, for a map with this grid.
+    /// A stream whose observations up to `durable_sequence` were taken, with this CRC, for a map with this grid.
     pub(crate) fn new(durable_sequence: u64, content_crc: u32, limits: IntakeLimits, grid: Option<&GridSpec>) -> Self {
         Self {
             table: Vec::new(),
@@ -205,20 +205,19 @@ impl Intake {
         }
     }
 
-    /// This stream, with the running CRCs that are known, ascending. Repeated observations are compared with these
-    /// CRCs.
+    /// Adds the known running CRCs, ascending. Repeated observations are compared with these CRCs.
     pub(crate) fn with_known_content(mut self, marks: Vec<ContentMark>) -> Self {
         self.known = KnownContent::new(marks);
         self
     }
 
-    /// This stream, which refuses observations before this time, nanoseconds UTC.
+    /// Lets the stream refuse observations before this time, nanoseconds UTC.
     pub(crate) fn with_earliest_time(mut self, earliest_nanos: i64) -> Self {
         self.earliest_nanos = earliest_nanos;
         self
     }
 
-    /// This stream, which says this about how its states are reported.
+    /// Sets the reporting of the states that the stream has stated.
     pub(crate) fn with_reporting(mut self, reporting: Option<StatedReporting>) -> Self {
         self.reporting = reporting;
         self
@@ -229,12 +228,12 @@ impl Intake {
         self.limits.batch
     }
 
-    /// Memory of the stream's table of tiles and its unfinished scan, in bytes, about.
+    /// Memory of the stream's table of tiles and its unfinished scan, in bytes, approximately.
     pub(crate) fn held_bytes(&self) -> usize {
         self.scans.held_bytes()
     }
 
-    /// Checks a message. `None`: nothing of it is new.
+    /// Checks a message. `None`: the message has nothing new.
     ///
     /// # Errors
     /// Errors that end the stream; nothing of the message was taken.
@@ -358,7 +357,7 @@ impl Intake {
         let entry = |index: u32| self.table.get(index as usize);
         let positions = positions(&columns.state_indices, coordinates, |index| entry(index)?.dimensions())?;
         let shares = shares(&columns.state_indices, share_column, |index| shares_of(entry(index)?.shape?))?;
-        // One position, and one distribution, always fits.
+        // One position or one distribution always fits.
         let fits = if shares.is_empty() { Dimensions::Three.count() } else { *LABELS.end() };
         let max = self.limits.batch.max(fits);
         let single = columns.values.len() - positions.len() - shares.len();
@@ -410,7 +409,7 @@ impl Intake {
                     batch.shares.extend(shares.map(|shares| (place, Box::from(shares))));
                     batch.table_indices.push(index);
                     batch.times_nanos.push(time);
-                    // All that is no number is one.
+                    // All NaNs become the same NaN.
                     let value = if value.is_nan() { f64::NAN } else { value };
                     batch.values.push(if position.is_some() || shares.is_some() { 0.0 } else { value });
                 }

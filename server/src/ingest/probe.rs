@@ -1,7 +1,8 @@
-//! Whether the client of an open stream is still there: another stream of its key asks before it takes over.
+//! Checks whether the client of an open stream is still there. Another stream of its key sends this probe before it
+//! takes over.
 //!
-//! Invariant: only an answer of the client, or a stream that does not read now, counts as a sign of life. Asking never
-//! changes the stream that is asked.
+//! Invariant: only a reply of the client, or a stream that does not read now, counts as a sign of life. A probe never
+//! changes the probed stream.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -13,20 +14,20 @@ use tokio::{
     time::{Instant, timeout_at},
 };
 
-/// A client that does not answer a probe within this time is gone: a little less than the two seconds that the wire
-/// promises, so that whoever waits for it is served within them.
+/// Time limit for a client to reply to a probe; after it the client counts as gone. It is a little less than the two
+/// seconds that the wire promises, so that the waiting stream is served within them.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1900);
-/// An answer counts for this long.
+/// Time for which a reply counts.
 const FRESH_FOR: Duration = Duration::from_millis(100);
-/// Questions that wait to be sent.
+/// Maximum number of probes that wait to be sent.
 const QUESTIONS: usize = 4;
 
-/// When a stream can hear answers.
+/// The time at which a stream can receive replies.
 #[derive(Clone, Copy, Debug)]
 enum Hearing {
-    /// It has read all that came since then.
+    /// The stream has read everything that has arrived since this time.
     Since(Instant),
-    /// It waits for the daemon, and reads later.
+    /// The stream waits for the daemon, and reads later.
     Later,
 }
 
@@ -36,7 +37,7 @@ fn lock(hearing: &SharedHearing) -> MutexGuard<'_, Hearing> {
     hearing.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Asks the client of a stream. Clones ask the same one.
+/// Probes the client of a stream. Clones probe the same client.
 #[derive(Clone, Debug)]
 pub(crate) struct Probe {
     questions: mpsc::Sender<()>,
@@ -45,20 +46,20 @@ pub(crate) struct Probe {
 }
 
 impl PartialEq for Probe {
-    /// Whether both ask the same stream.
+    /// Whether both probe the same stream.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.hearing, &other.hearing)
     }
 }
 
-/// The side of the stream that is asked.
+/// The side of the probed stream.
 #[derive(Debug)]
 pub(crate) struct Probed {
     answered: watch::Sender<Option<Instant>>,
     hearing: SharedHearing,
 }
 
-/// A probe, the side of its stream, and the questions that the stream has to pass on to its client.
+/// A probe, the side of its stream, and the receiver of the probes that the stream has to pass on to its client.
 pub(crate) fn probe() -> (Probe, Probed, mpsc::Receiver<()>) {
     let (questions, asked) = mpsc::channel(QUESTIONS);
     let (answered, answers) = watch::channel(None);
@@ -67,12 +68,12 @@ pub(crate) fn probe() -> (Probe, Probed, mpsc::Receiver<()>) {
 }
 
 impl Probed {
-    /// The client has answered.
+    /// Records that the client has replied.
     pub(crate) fn answer(&self) {
         self.answered.send_replace(Some(Instant::now()));
     }
 
-    /// Says whether the stream waits for the daemon, so that it cannot read an answer.
+    /// Sets whether the stream waits for the daemon, so that it cannot read a reply.
     pub(crate) fn pause(&self, is_paused: bool) {
         let mut hearing = lock(&self.hearing);
         *hearing = match *hearing {
@@ -91,7 +92,7 @@ impl Probe {
         }
         let mut answered = self.answered.clone();
         answered.borrow_and_update();
-        // A full channel: others have asked, and the same answer counts.
+        // The channel is full: others have sent a probe, and the same reply counts.
         let _ = self.questions.try_send(());
         let mut since = Instant::now();
         loop {
@@ -103,7 +104,7 @@ impl Probe {
             }
             match *lock(&self.hearing) {
                 Hearing::Later => return true,
-                // The stream has waited meanwhile: the client has as much time as if it were asked after that.
+                // The stream has waited meanwhile: the client gets the full time from the end of this wait.
                 Hearing::Since(later) if later > since => since = later,
                 Hearing::Since(_) => return false,
             }

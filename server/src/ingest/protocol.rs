@@ -1,6 +1,6 @@
-//! The commands to the writer of a map. Each conversation with it has its file.
+//! The commands to the writer of a map. Each group of commands has its own file.
 //!
-//! Invariant: everything is bounded.
+//! Invariant: all queues and messages are bounded.
 
 use std::sync::Arc;
 
@@ -33,7 +33,7 @@ pub(crate) use edits::{AddState, AddStateError, EditSite, EditSiteError, ForgetE
 pub(crate) use history::{HistoryTail, PendingExtract, ReadHistory, ReadPending};
 pub(crate) use streams::{BufferBudget, Hello, HelloError, SessionEvent, SessionId, StreamData, Welcome};
 
-/// The tiles that a save has stored, and where to read them, if the map has a grid.
+/// The tiles that a save has stored, and the source to read them from, if the map has a grid.
 pub(crate) type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
 
 /// A producer of a map.
@@ -41,9 +41,9 @@ pub(crate) type SavedGrid = Option<(Arc<dyn TileSource>, SavedTiles)>;
 pub(crate) struct KnownProducer {
     /// Number of the producer within the map.
     pub id: ProducerId,
-    /// How far its sequence is durable.
+    /// The sequence number up to which the producer's observations are durable.
     pub mark: ProducerMark,
-    /// Whether a stream of it is open.
+    /// Whether the producer has an open stream.
     pub is_connected: bool,
 }
 
@@ -52,7 +52,7 @@ pub(crate) struct KnownProducer {
 pub(crate) enum Command {
     /// Open a stream.
     Hello(Hello),
-    /// Take what a stream hands over.
+    /// Take the data that a stream hands over.
     StreamData { session: SessionId, data: StreamData },
     /// Update the map.
     Update {
@@ -61,15 +61,15 @@ pub(crate) enum Command {
         cause: UpdateCause,
         job: Arc<UpdateJob>,
     },
-    /// The committer has answered the oldest append.
+    /// The committer has completed the oldest append.
     Committed(Result<u64, AppendError>),
     /// The running update has ended; `Err`: it failed.
     UpdateDone { job: Arc<UpdateJob>, result: Result<Box<UpdateResult>, String> },
-    /// The digest of what an update has made, or why there is none.
+    /// The digest of an update's result, or the reason why there is none.
     Digested { generation: u64, digest: Result<Digest, String> },
-    /// The replica of a log that daemons share tells something.
+    /// An event from the replica of a shared log.
     Replica(ReplicaEvent),
-    /// A save has ended; `Err`: it failed, and gives the snapshot back.
+    /// A save has ended; `Err`: it failed, and returns the snapshot.
     Saved(Result<SavedGrid, (String, MapSnapshot)>),
     /// Add a state.
     AddState(AddState),
@@ -77,21 +77,22 @@ pub(crate) enum Command {
     EditSite(EditSite),
     /// Let producers give their places up.
     ForgetProducers(ForgetProducers),
-    /// Return what is not in the store's history yet.
+    /// Return the observations that are not in the store's history yet.
     ReadHistory(ReadHistory),
-    /// Return some of what the next update could learn.
+    /// Return an extract of the data that the next update could learn.
     ReadPending(ReadPending),
     /// Return the producers.
     ListProducers(oneshot::Sender<Vec<KnownProducer>>),
-    /// Subscribe to what is applied from now on. The answer: a receiver, and the number of observations sent before.
+    /// Subscribe to observations that are applied from now on. The reply: a receiver, and the number of observations
+    /// sent before.
     Watch(oneshot::Sender<(FeedReceiver, u64)>),
     /// Subscribe to scans that are applied from now on.
     WatchCells(oneshot::Sender<CellFeed>),
     /// End all streams and stop.
     Stop {
-        /// The reason for the streams.
+        /// The reason that the streams receive.
         ending: Ending,
-        /// Answered when the writer has stopped.
+        /// Notified when the writer has stopped.
         done: oneshot::Sender<()>,
     },
 }

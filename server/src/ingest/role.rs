@@ -1,37 +1,37 @@
-//! What this daemon is to a map: its only writer, or the writer or a follower of a log that daemons share.
+//! The role of this daemon for a map: its only writer, or the writer or a follower of a shared log.
 //!
-//! Invariant: only a daemon whose role writes takes what clients send.
+//! Invariant: only a daemon with a writing role accepts data from clients.
 
 use tidemap_map::name::MapName;
 
-/// What this daemon is to a map.
+/// The role of this daemon for a map.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) enum MapRole {
-    /// The log is this daemon's alone.
+    /// The log belongs to this daemon alone.
     #[default]
     Alone,
-    /// It writes the log that daemons share.
+    /// This daemon writes the shared log.
     Writing {
-        /// The epoch, which the log says.
+        /// The epoch, which the log records.
         epoch: u64,
     },
-    /// It follows the log.
+    /// This daemon follows the log.
     Following {
-        /// The daemon that writes, where it is known.
+        /// The daemon that writes the log, where it is known.
         writer: Option<String>,
     },
 }
 
 impl MapRole {
-    /// The role in a log that daemons share, before more is known.
+    /// The role for a shared log, before more is known.
     pub(crate) const UNKNOWN: MapRole = MapRole::Following { writer: None };
 
-    /// The role before the replica of the map, if there is one, has told anything.
+    /// The role before the first event of the map's replica, if there is one.
     pub(crate) fn at_first(is_shared: bool) -> MapRole {
         if is_shared { Self::UNKNOWN } else { Self::Alone }
     }
 
-    /// Whether daemons share the log.
+    /// Whether the log is shared.
     pub(crate) fn is_shared(&self) -> bool {
         *self != Self::Alone
     }
@@ -41,7 +41,7 @@ impl MapRole {
         !matches!(self, Self::Following { .. })
     }
 
-    /// Why this daemon takes nothing from clients; `None`: it does.
+    /// The reason why this daemon accepts nothing from clients; `None`: it accepts data.
     pub(crate) fn not_writer(&self, map: &MapName) -> Option<NotWriter> {
         match self {
             Self::Alone | Self::Writing { .. } => None,
@@ -59,6 +59,6 @@ impl MapRole {
 pub(crate) struct NotWriter {
     /// The map.
     pub map: MapName,
-    /// The daemon that does, where it is known.
+    /// The daemon that writes the map, where it is known.
     pub writer: Option<String>,
 }

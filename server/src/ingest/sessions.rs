@@ -1,7 +1,7 @@
-//! The open streams of one map, and what their batches in flight will add to the map.
+//! The open streams of one map, and the additions of their batches in flight to the map.
 //!
 //! Invariant: at most one stream of a key accepts batches. A stream with batches in flight is remembered until the last
-//! of them is answered, and no other stream of its key opens before that, so that no batch can be taken twice.
+//! of them is completed, and no other stream of its key opens before that, so that no batch can be taken twice.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -36,16 +36,17 @@ use places::{PlaceKind, Places};
 use states::StreamState;
 use states_in_flight::StatesInFlight;
 
-/// For each place of a producer key so many may be forgotten: what they sent keeps its numbers, which takes memory.
+/// Number of keys that may be forgotten for each place of a producer key: the observations that they sent keep their
+/// numbers, which takes memory.
 const FORGOTTEN_PER_PLACE: usize = 10;
 
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
 pub(super) struct StreamEvent {
     pub event: Event,
-    /// Its refused observations or scans.
+    /// The refused observations or scans of the event.
     pub refused: Vec<RefusedObservation>,
-    /// Tiles of its scans that wait because their time is in the future.
+    /// Number of the tiles of the event's scans that wait because their time is in the future.
     pub tiles_ahead: u64,
 }
 
@@ -53,15 +54,16 @@ pub(super) struct StreamEvent {
 pub(super) struct Session {
     key: ProducerKey,
     producer: Option<ProducerId>,
-    /// The sensor of all its scans; `None`: the map's default.
+    /// The sensor of all scans of the stream; `None`: the map's default.
     sensor: Option<ProducerSensor>,
-    /// The client, as shares count it; empty: it has no share of its own.
+    /// The client, by its name in the shares; empty: it has no share of its own.
     client: String,
     incarnation: u64,
     probe: Option<Probe>,
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<StreamState>,
-    /// What its scans have shown: the tiles that it sent, and those that were ray-cast for it.
+    /// The tiles that the scans of the stream have shown: the ones that it sent, and the ones that were ray-cast for
+    /// it.
     sent_tiles: StreamTiles,
     raycast_tiles: StreamTiles,
     in_flight: usize,
@@ -71,7 +73,7 @@ pub(super) struct Session {
 }
 
 impl Session {
-    /// The producer of the observations; a new one if nothing of the key is durable or in flight.
+    /// The producer of the observations; a new producer if nothing of the key is durable or in flight.
     fn producer(&mut self, map: &LiveMap, in_flight: &mut usize) -> (ProducerId, Option<NewProducer>) {
         if let Some(producer) = self.producer {
             return (producer, None);
@@ -83,7 +85,7 @@ impl Session {
         (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor, introduced_by }))
     }
 
-    /// The envelope of an event of the stream, which is in flight from now on. Sorts what was refused.
+    /// The envelope of an event of the stream, which is in flight from now on. Sorts the refusals.
     fn envelope(
         &mut self,
         map: &LiveMap,
@@ -105,25 +107,25 @@ impl Session {
         }
     }
 
-    /// Sends the stream a message, if it is still there.
+    /// Sends a message to the stream, if it is still there.
     fn tell(&self, event: SessionEvent) {
-        // The receiver is gone when the client is: nobody needs the message.
+        // When the client is gone, the receiver is gone: nobody needs the message.
         let _ = self.events.send(event);
     }
 }
 
-/// Limits of what the streams of a map add to it.
+/// The limits for the additions of streams to a map.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SessionLimits {
-    /// States of the map.
+    /// Maximum number of states of the map.
     pub states: usize,
-    /// Producer keys of the map.
+    /// Maximum number of producer keys of the map.
     pub producers: usize,
-    /// Producer keys of the map that one client has introduced.
+    /// Maximum number of producer keys of the map that one client has introduced.
     pub producers_of_client: usize,
-    /// Observations, or tiles of scans, that wait because their time is in the future.
+    /// Maximum number of observations, or tiles of scans, that wait because their time is in the future.
     pub ahead: u64,
-    /// Tiles of the map.
+    /// Maximum number of tiles of the map.
     pub tiles: usize,
 }
 
@@ -140,7 +142,7 @@ pub(super) struct Sessions {
     /// Streams that announced data time and broke, with the greatest time of their data.
     broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
-    /// The map's tiles after everything in flight is applied; `None` until a scan comes.
+    /// The map's tiles after all events in flight are applied; `None` until a scan comes.
     log_head: Option<LogHead>,
     /// Tiles of scans in flight that wait because their time is in the future.
     tiles_ahead: u64,
@@ -174,7 +176,7 @@ impl Sessions {
     }
 
     /// Opens a stream, which replaces an open one of the same key if the hello allows that. `Ok(None)`: batches of the
-    /// key are still in flight; ask again when they are answered.
+    /// key are still in flight; call this again when they are completed.
     pub(super) fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {
         let mark = map.producer(&hello.key);
         let open = self.open_by_key.get(&hello.key).and_then(|id| self.sessions.get(id));
@@ -230,7 +232,7 @@ impl Sessions {
         self.open_by_key.insert(hello.key.clone(), id);
         if mark.is_none() {
             if self.issued.len() >= self.limits.producers {
-                // Keys that never sent anything; forgetting them costs a fence, not an observation.
+                // These keys never sent anything; forgetting them loses a fence, not an observation.
                 self.issued.clear();
             }
             self.issued.insert(hello.key.clone(), incarnation);
@@ -240,7 +242,7 @@ impl Sessions {
         Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc, content_marks }))
     }
 
-    /// Whether there is a place for a producer key that has none.
+    /// Checks that there is a place for a producer key that has none.
     fn check_place(&self, hello: &Hello, map: &LiveMap) -> Result<(), HelloError> {
         let has_place = |key: &ProducerKey| map.producer(key).is_some_and(|(_, mark)| !mark.is_forgotten);
         let new = || self.sessions.values().filter(|session| session.open && !has_place(&session.key));
@@ -258,7 +260,7 @@ impl Sessions {
     /// The keys of a producer that can give their places up.
     ///
     /// # Errors
-    /// There is none, one has a stream, or too many are forgotten.
+    /// There is no such key, one has a stream, or too many are forgotten.
     pub(super) fn forgettable(&self, forget: &ForgetProducers, map: &LiveMap) -> Result<Vec<ProducerId>, ForgetError> {
         let ForgetProducers { producer, label, .. } = forget;
         let is_meant =
@@ -281,7 +283,7 @@ impl Sessions {
         Ok(found)
     }
 
-    /// An event of the stream was applied to the map. `tiles_ahead`: its tiles that wait for their time.
+    /// An event of the stream was applied to the map. `tiles_ahead`: the number of its tiles that wait for their time.
     pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
         let Some(envelope) = event.envelope() else { return };
@@ -326,7 +328,7 @@ impl Sessions {
         self.forget(id);
     }
 
-    /// All batches in flight have failed: forgets what they would have added.
+    /// All batches in flight have failed: forgets their additions.
     pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.producers_in_flight = 0;
@@ -340,7 +342,7 @@ impl Sessions {
         }
     }
 
-    /// Ends an open stream and reports why.
+    /// Ends an open stream and sends it the reason.
     pub(super) fn end(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
             session.tell(SessionEvent::End(ending.clone()));
@@ -373,7 +375,7 @@ impl Sessions {
         }
     }
 
-    /// Closes the stream. Gives its key and data time if it announced data time.
+    /// Closes the stream. Returns its key and data time if it announced data time.
     pub(super) fn leave(&mut self, id: SessionId) -> Option<(ProducerKey, i64)> {
         let session = self.sessions.get_mut(&id)?;
         if session.open {

@@ -7,22 +7,22 @@ use tidemap_map::view::MapView;
 
 /// Bytes of a published cell: its mean as a double.
 const MEAN_BYTES: u64 = 8;
-/// Bytes of a component in force: its periodicity, and amplitude and phase as doubles.
+/// Bytes of a component in force: its periodicity, and its amplitude and phase as doubles.
 const COMPONENT_BYTES: u64 = 20;
-/// Bytes of a published tile: which cells are known, and which of them were always occupied.
+/// Bytes of a published tile: two masks, of the known cells and of the always occupied ones.
 const MASK_BYTES: u64 = 128;
 
-/// What a generation has learned of the tiles of a map.
+/// The totals of the tiles of a map that a generation has learned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TileTotals {
-    /// Cells that were read as both free and occupied.
+    /// Number of cells that were read as both free and occupied.
     pub changed_cells: u64,
-    /// Bytes that predictions need.
+    /// Number of bytes that predictions need.
     pub model_bytes: u64,
 }
 
 impl TileTotals {
-    /// Counts the tiles of a view. An unreadable tile counts as one without changes.
+    /// Counts the tiles of a view. An unreadable tile counts as a tile without changes.
     pub(crate) fn of(view: &MapView) -> TileTotals {
         let mut totals = TileTotals::default();
         let Some(grid) = view.grid() else { return totals };

@@ -1,7 +1,7 @@
 //! The training data of named states for an update that trains models: from history files, and from history that no
 //! save has stored yet.
 //!
-//! Invariant: each reading comes once, and in the same order whether it is in a file or not, so that an update that is
+//! Invariant: each reading is returned once, and in the same order whether it is in a file or not. So an update that is
 //! repeated after a crash trains the same models.
 
 use std::sync::{Arc, OnceLock};
@@ -21,9 +21,9 @@ mod tests;
 pub(super) struct TrainingData {
     /// The generations that are not in `unsaved`.
     stored: History,
-    /// Its files, opened at the first request.
+    /// The files of the stored history, opened at the first request.
     files: OnceLock<Result<StateFiles, String>>,
-    /// Ascending by generation.
+    /// The unsaved history, ascending by generation.
     unsaved: Vec<Arc<HistoryPiece>>,
 }
 
@@ -34,7 +34,7 @@ impl TrainingData {
         unsaved.retain(|piece| piece.generation < generation);
         unsaved.sort_by_key(|piece| piece.generation);
         unsaved.dedup_by_key(|piece| piece.generation);
-        // A running or failed save may have written some of the others already.
+        // A running or failed save may already have written some of the unsaved pieces.
         let stored_before = unsaved.first().map_or(generation, |piece| piece.generation);
         Self { stored: history.before(stored_before), files: OnceLock::new(), unsaved }
     }
@@ -51,7 +51,7 @@ impl StateReadings for TrainingData {
                 let samples = at.and_then(|at| piece.states.get(at)).map_or(&[][..], |(_, samples)| samples);
                 found.extend(samples.iter().filter(|sample| sample.utc_nanos >= wanted.from_nanos));
             }
-            // Stable: ties keep the order of the updates.
+            // The sort is stable: ties keep the order of the updates.
             found.sort_by_key(|sample| sample.utc_nanos);
         }
         Ok(found)

@@ -1,14 +1,14 @@
-//! When a map is updated: on request, at the local midnight of the clock, at the local midnight of imported data, or
-//! when too much is pending.
+//! Decides when a map is updated: on request, at the local midnight of the clock, at the local midnight of imported
+//! data, or when too much is pending.
 //!
 //! The nightly update is due when observations *received* before the map's last local midnight are still pending. So a
-//! daemon that was off at midnight catches up, and history that is imported at noon waits for the night, or for
-//! `tidemap update`. The setting `update_at_midnight = false` turns the nightly update off. With `observe --nightly`
-//! the midnights are those of the data, after all announcing streams have passed them. An early update takes whole
-//! local days, unless all that is pending is of one day.
+//! daemon that was off at midnight catches up. History that is imported at noon waits for the night, or for `tidemap
+//! update`. The setting `update_at_midnight = false` turns the nightly update off. With `observe --nightly` the
+//! midnights are those of the data. They count after all announcing streams have passed them. An early update takes
+//! whole local days, unless all pending observations are of one day.
 //!
-//! Invariant: one update runs at a time, and a bounded number wait. What becomes due while an update of the same cause
-//! waits joins it, because an update steps through each local day of its observations.
+//! Invariant: one update runs at a time, and a bounded number wait. If an update becomes due while one of the same
+//! cause waits, the two are joined, because an update steps through each local day of its observations.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -26,10 +26,10 @@ use tidemap_model::time::FUTURE_MAX_NANOS;
 use super::sessions::Sessions;
 use crate::jobs::{Jobs, UpdateJob};
 
-/// A producer whose stream broke still counts for this long when a day of imported data closes.
+/// Time for which a producer whose stream broke still counts when a day of imported data closes.
 const ANNOUNCEMENT_KEPT: Duration = Duration::from_secs(60);
 
-/// Pending times just after the last cut are lower bounds: an update of them is tried this often.
+/// Pending times just after the last cut are lower bounds: interval between two attempts of an update of them.
 const UNSURE_NANOS: i64 = 60_000_000_000;
 
 /// Maximum number of waiting updates.
@@ -42,14 +42,14 @@ pub(super) struct DueUpdate {
     pub job: Arc<UpdateJob>,
 }
 
-/// The waiting updates of one map, and what makes new ones due.
+/// The waiting updates of one map, and the data that makes new ones due.
 #[derive(Debug)]
 pub(super) struct UpdateSchedule {
     map: MapName,
     jobs: Arc<Jobs>,
     queue: VecDeque<DueUpdate>,
-    /// Producers that announced data time and whose stream broke: the greatest time of their data, and until when they
-    /// count.
+    /// Producers that announced data time and whose stream broke: the greatest time of their data, and the time until
+    /// which they count.
     broken: HashMap<ProducerKey, (i64, Instant)>,
     data_midnight_nanos: i64,
     /// The time that all streams of imported data have reached; `None` without such streams.
@@ -75,7 +75,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// Adds an update; one too many fails at once.
+    /// Adds an update; it fails at once if too many wait.
     pub(super) fn push(&mut self, update: DueUpdate) {
         if self.queue.len() < WAITING_MAX {
             self.queue.push_back(update);
@@ -84,12 +84,12 @@ impl UpdateSchedule {
         }
     }
 
-    /// Adds what one update has left to the next, before all others.
+    /// Adds the rest that one update has left to the next, before all others.
     pub(super) fn push_first(&mut self, update: DueUpdate) {
         self.queue.push_front(update);
     }
 
-    /// The log did not accept the start of an update: what made it due still holds.
+    /// The log did not accept the start of an update: the cause of the update still holds.
     pub(super) fn failed(&mut self, cause: UpdateCause) {
         match cause {
             UpdateCause::Midnight => self.clock_midnight_nanos = i64::MIN,
@@ -98,7 +98,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// This daemon writes the map from now on: a midnight that has passed makes an update due, also one that did so
+    /// This daemon writes the map from now on: a midnight that has passed makes an update due, even if it has done so
     /// before.
     pub(super) fn begin_anew(&mut self) {
         self.clock_midnight_nanos = i64::MIN;
@@ -132,8 +132,8 @@ impl UpdateSchedule {
         self.broken.remove(key);
     }
 
-    /// Adds what the clock or the number of pending observations has made due. Not while the start of an update is in
-    /// flight, because its observations still look pending.
+    /// Adds updates that the clock or the number of pending observations has made due. Adds none while the start of an
+    /// update is in flight, because its observations still count as pending.
     pub(super) fn look(&mut self, map: &LiveMap, now_nanos: i64) {
         if self.at_midnight {
             self.look_at_clock(map, now_nanos);
@@ -152,8 +152,8 @@ impl UpdateSchedule {
         self.queue.push_back(DueUpdate { until_nanos, cause, job });
     }
 
-    /// Adds what imported data has made due: a midnight that all announcing streams have passed. Call it before such a
-    /// stream ends, because a stream that has ended no longer counts.
+    /// Adds an update that imported data has made due: a midnight that all announcing streams have passed. Call it
+    /// before such a stream ends, because a stream that has ended no longer counts.
     pub(super) fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
@@ -170,7 +170,7 @@ impl UpdateSchedule {
         let zone = &map.spec().zone;
         let midnight = zone.midnight_nanos(zone.day_of(reached));
         if midnight > self.data_midnight_nanos {
-            // The first midnight of an import is the start of its first day: nothing lies before it.
+            // The first midnight of an import is the start of its first day: there is nothing before it.
             let due = map.pending_since_nanos().is_some_and(|oldest| oldest < midnight);
             self.data_midnight_nanos = midnight;
             if due {
@@ -189,7 +189,7 @@ impl UpdateSchedule {
         }
     }
 
-    /// A restart, or another daemon that has become the writer, finds rows that an update left to the next.
+    /// A restart, or another daemon that has become the writer, finds rows that an update has left to the next one.
     fn look_at_waiting_rows(&mut self, map: &LiveMap, now_nanos: i64) {
         if map.waiting_rows() > 0 && !map.is_updating() && self.queue.is_empty() {
             self.due(Some(map.cut_nanos()), UpdateCause::PendingLimit, now_nanos);
@@ -209,8 +209,8 @@ impl UpdateSchedule {
         if !map.pending_since_nanos().is_some_and(may_take) {
             return;
         }
-        // Whole days first: what is learned does not depend then on when an update ran. A day has not ended that a
-        // stream of imported data has not passed.
+        // Whole days come first, so that the learned models do not depend on the time of an update. A day that a stream
+        // of imported data has not passed has not ended.
         let midnight_of = |nanos: i64| map.spec().zone.midnight_nanos(map.spec().zone.day_of(nanos));
         let takes_some = |midnight: &i64| {
             map.cut_nanos() < *midnight && map.pending_since_nanos().is_some_and(|oldest| oldest < *midnight)

@@ -1,11 +1,11 @@
 //! The turns of updates: one update computes at a time, and those of several maps take turns.
 //!
 //! An update that computes alone is never interrupted. Where another waits, the turn passes after [`SLICE`] to the
-//! update that has computed least, so that a short one ends soon, however long the others take. Each update has threads
+//! update that has computed least. So a short update ends soon, even if the others take long. Each update has threads
 //! of its own, which wait between pieces of work; a piece is a local day of a state or a part of a tile.
 //!
 //! Invariant: at most one update has the turn, and at most [`BEGUN_MAX`] have begun and not ended: each of them holds a
-//! second generation of its map. The others wait in the order in which they came.
+//! second generation of its map. The other updates wait in the order in which they came.
 
 use std::{
     collections::VecDeque,
@@ -16,7 +16,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long an update computes while others wait.
+/// Time for which an update computes while others wait.
 const SLICE: Duration = Duration::from_millis(500);
 
 /// Maximum number of updates that have begun.
@@ -27,9 +27,9 @@ const BEGUN_MAX: usize = 8;
 pub(crate) struct UpdateTurns {
     state: Mutex<State>,
     changed: Condvar,
-    /// Whether an update waits for its turn. Without one, threads that compute take no lock.
+    /// Whether an update waits for its turn. While none waits, computing threads take no lock.
     is_contended: AtomicBool,
-    /// Threads of an update.
+    /// Number of threads of an update.
     threads: usize,
     slice: Duration,
 }
@@ -42,14 +42,14 @@ struct State {
     arrived: VecDeque<u64>,
     /// The updates that have begun; the first has the turn.
     begun: VecDeque<Begun>,
-    /// Since when the first has it.
+    /// The time since which the first update has the turn.
     since: Option<Instant>,
 }
 
 #[derive(Debug)]
 struct Begun {
     update: u64,
-    /// How long it had the turn, without the turn that it has now.
+    /// The time for which the update had the turn, without its current turn.
     computed: Duration,
 }
 
@@ -61,7 +61,7 @@ pub(crate) struct UpdateTurn {
 }
 
 impl UpdateTurns {
-    /// `threads`: of each update.
+    /// `threads`: the number of threads of each update.
     pub(crate) fn new(threads: usize) -> UpdateTurns {
         UpdateTurns {
             state: Mutex::default(),
@@ -72,7 +72,7 @@ impl UpdateTurns {
         }
     }
 
-    /// Threads of an update.
+    /// Number of threads of an update.
     pub(crate) fn threads(&self) -> usize {
         self.threads
     }
@@ -90,7 +90,7 @@ impl UpdateTurns {
         turn
     }
 
-    /// Updates that wait for their turn.
+    /// Number of updates that wait for their turn.
     pub(crate) fn waiting(&self) -> usize {
         let state = self.lock();
         state.arrived.len() + state.begun.len().saturating_sub(1)
@@ -114,7 +114,7 @@ impl State {
         self.begun.front().is_some_and(|first| first.update == update)
     }
 
-    /// Lets updates begin that wait for it, as many as may. They have computed nothing, and are next.
+    /// Lets waiting updates begin, as many as may. They have computed nothing, so they are next.
     fn admit(&mut self) {
         while self.begun.len() < BEGUN_MAX
             && let Some(update) = self.arrived.pop_front()
@@ -126,7 +126,7 @@ impl State {
         }
     }
 
-    /// The turn goes to the update that has computed least; of equal ones, to the one that has waited longest.
+    /// Passes the turn to the update that has computed least; among equal ones, to the one that has waited longest.
     fn pass(&mut self) {
         let now = Instant::now();
         let computed = self.since.map_or(Duration::ZERO, |since| now.duration_since(since));
@@ -145,7 +145,7 @@ impl State {
         self.since = (!self.begun.is_empty()).then_some(now);
     }
 
-    /// An update has ended.
+    /// Ends an update.
     fn end(&mut self, update: u64) {
         let had_turn = self.has_turn(update);
         self.arrived.retain(|arrived| *arrived != update);
@@ -222,7 +222,7 @@ mod tests {
                 ended.send(()).expect("the test listens");
             }
         });
-        // The long update would go on for ever: it ends when the short one has.
+        // The long update would never end by itself: it ends after the short one.
         while short_ended.try_recv().is_err() {
             long.wait();
             thread::yield_now();

@@ -1,20 +1,20 @@
-//! The single writer of a map: one thread that orders batches, hands them to the log, applies what is durable,
-//! publishes views and runs updates. It is plain blocking code without locks, and a slow map does not delay another.
+//! The single writer of a map: one thread that orders batches, hands them to the log, applies durable events, publishes
+//! views and runs updates. It is plain blocking code without locks, and a slow map does not delay another one.
 //!
 //! ```text
 //! stream ─▶ Backlog ─▶ Sessions: an event ─▶ Appends ─▶ log, fsync ─▶ apply ─▶ publish ─▶ acknowledge
 //!                                              UpdateSchedule ─▶ Updates ─▶ publish ─▶ Saves
 //! ```
 //!
-//! - [`appends`]: events in flight, and their failures. [`backlog`]: what waits for room. [`edits`]: states and site
-//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored.
-//!   [`follower`]: a log that daemons share, which this one writes or follows. [`update_ends`]: what updates have made
-//!   in such a log.
-//! - **The writer takes only what it can hold.** Handovers wait in the backlog, with their buffer budgets, while too
-//!   much is in flight or pending. Commands that make room are never behind them.
-//! - **Observations ahead of the clock wait apart** (more than 5 minutes when they are received): they make no update
-//!   due, at most a quarter of the pending limit may wait, and they join the others at the first update whose cut has
-//!   passed their time. The last value does not show them before.
+//! - [`appends`]: events in flight, and their failures. [`backlog`]: the handovers that wait for room. [`edits`]:
+//!   states and site edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not
+//!   stored. [`follower`]: a shared log, which this daemon writes or follows. [`update_ends`]: the results of updates
+//!   in a shared log.
+//! - **The writer takes only data for which it has room.** Handovers wait in the backlog, with their buffer budgets,
+//!   while too much is in flight or pending. Commands that make room never wait behind handovers.
+//! - **Observations with a time in the future wait apart** (more than 5 minutes after the clock when they are
+//!   received). They make no update due, and at most a quarter of the pending limit may wait. They join the others at
+//!   the first update whose cut has passed their time. The last value does not show them before.
 //! - **Updates run beside the thread**, and the map serves the previous generation meanwhile. Early updates, above
 //!   `max_pending_observations`, free memory.
 //!
@@ -55,7 +55,7 @@ use super::{
 };
 use crate::{clock::Clock, cluster::Cluster, jobs::Jobs};
 
-/// The writer checks the clock at least this often.
+/// Longest time between two reads of the clock by the writer.
 const TICK: Duration = Duration::from_secs(1);
 /// Maximum number of commands handled between two publications.
 const BURST: usize = 512;
@@ -79,7 +79,7 @@ use update_ends::UpdateEnds;
 pub(crate) use update_run::UpdateFailed;
 use update_run::Updates;
 
-/// What a writer needs from the daemon.
+/// The resources of the daemon that a writer uses.
 #[derive(Clone, Debug)]
 pub(crate) struct Context {
     pub store: Arc<Store>,
@@ -88,20 +88,20 @@ pub(crate) struct Context {
     pub update_turns: Arc<UpdateTurns>,
     /// Receives a message when storage has failed for good.
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,
-    /// Receives the maps whose log and the one that daemons share differ, when their writers have stopped.
+    /// Receives the maps whose own log differs from the shared log, when their writers have stopped.
     pub forks: tokio::sync::mpsc::UnboundedSender<ForkedMap>,
-    /// The cluster that the daemon is a member of, if it is.
+    /// The cluster of which the daemon is a member, if there is one.
     pub cluster: Option<Cluster>,
     /// Maximum number of states of a map.
     pub max_states: usize,
     /// Maximum number of producer keys of a map.
     pub max_producers: usize,
-    /// Producer keys of a map that one client has introduced.
+    /// Maximum number of producer keys of a map that one client has introduced.
     pub max_producers_of_client: usize,
-    /// Pending observations above which an update runs early.
+    /// Number of pending observations above which an update runs early.
     pub max_pending: PendingLimits,
-    /// Maximum number of readings that rows stand for in an update: the constant of the same name, but for tests.
-    /// Daemons of a cluster must have the same.
+    /// Maximum number of readings that the rows of an update represent. It equals the constant of the same name, except
+    /// in tests. All daemons of a cluster must have the same value.
     pub update_readings_max: u64,
     /// Whether the local midnight of the clock makes an update due.
     pub update_at_midnight: bool,
@@ -112,7 +112,7 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    /// The identity of what producers send to: of the cluster, or of the store of a daemon that is alone.
+    /// The identity to which producers send: that of the cluster, or that of the store if the daemon is alone.
     pub(crate) fn identity(&self) -> &str {
         self.cluster.as_ref().map_or_else(|| self.store.store_id(), Cluster::id)
     }
@@ -124,9 +124,9 @@ pub(crate) struct RestoredMap {
     pub map: LiveMap,
     /// The log to which the writer appends.
     pub log: Arc<dyn EventLog>,
-    /// Whether daemons share the log. Then the writer follows it until it is told to write.
+    /// Whether the log is shared. Then the writer follows it until it is ordered to write.
     pub is_shared: bool,
-    /// What the log says of its last update, where it does.
+    /// The result of the last update in the log, if the log contains it.
     pub logged: Option<UpdateDone>,
     /// The unsaved result of updates that were repeated during the start.
     pub unsaved: Option<MapSnapshot>,
@@ -143,7 +143,7 @@ pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> s
     Ok(Arc::new(handle))
 }
 
-/// Starts the writer of a restored map at its place, from which on the map is open.
+/// Starts the writer of a restored map behind existing endpoints. From then on the map is open.
 ///
 /// # Errors
 /// The thread cannot be started.
@@ -157,7 +157,7 @@ pub(crate) fn start_in(
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
         if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
-            // Without its writer a map is not served. The log has everything that was acknowledged.
+            // Without its writer a map is not served. The log has all acknowledged observations.
             drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
         }
     })?;
@@ -176,7 +176,7 @@ fn build(
     let spec = Arc::clone(map.spec());
     let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening, role, digest, shown } = endpoints;
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
-    // First the view: who has waited for the map sees everything that is acknowledged.
+    // The view comes first: clients that have waited for the map see all acknowledged observations.
     view.store(Arc::new(map.publish()));
     shown.send_replace(Shown::of(&view.load()));
     let follower = Follower::new(role, is_shared);
@@ -185,7 +185,7 @@ fn build(
         states: context.max_states,
         producers: context.max_producers,
         producers_of_client: context.max_producers_of_client,
-        // A quarter of what may be pending: enough for a robot with a wrong clock, too little to matter.
+        // A quarter of the pending limit: enough for a robot with a wrong clock, too little to do harm.
         ahead: context.max_pending.observations / 4,
         tiles: context.max_tiles,
     };
@@ -273,8 +273,8 @@ impl Writer {
         self.stop(inbox);
     }
 
-    /// Whether an update must end before the writer stops: an update that goes on after an erasure would write among
-    /// the new files, and likewise where the map is opened again without a part of its log, or from a copy.
+    /// Whether an update must end before the writer stops. An update that goes on after an erasure would write among
+    /// the new files. The same holds where the map is opened again without a part of its log, or from a copy.
     fn must_finish(&self) -> bool {
         let opens_again =
             matches!(self.stopping, Some((Ending::Erasure | Ending::Forked { .. } | Ending::Replaced, _)));
@@ -306,13 +306,13 @@ impl Writer {
             Command::ListProducers(reply) => drop(reply.send(self.known_producers())),
             Command::Watch(reply) => drop(reply.send(self.feed.listen())),
             Command::WatchCells(reply) => {
-                // A watcher needs the view just before the first scans that it hears of.
+                // A watcher needs the view from just before the first scans that it receives.
                 self.publish();
                 drop(reply.send(self.feed.listen_to_cells(self.view.load_full())));
             }
             Command::Stop { ending, done } => {
                 self.stopping = Some((ending, done));
-                // Not acknowledged: the streams end, and their producers still have the data.
+                // These handovers are not acknowledged: the streams end, and their producers still have the data.
                 self.backlog.clear();
             }
         }
@@ -330,17 +330,17 @@ impl Writer {
         producers
     }
 
-    /// Runs after each burst of commands: publishes, answers those who wait for what is now public, and starts what is
-    /// due. The order of the steps matters; each step names what must come before it.
+    /// Runs after each burst of commands: publishes, replies to requests whose results are now public, and starts what
+    /// is due. The order of the steps matters; the comment on each step gives the steps that must come before it.
     fn pump(&mut self) {
         let now = self.context.clock.now_nanos();
-        // First: events of the log that waited for an update or an answer. `publish` shows and answers them.
+        // First: events of the log that waited for an update or a completion. `publish` shows and acknowledges them.
         self.follow();
         for (key, reached) in self.sessions.take_broken() {
             self.updates.schedule.stream_broke(key, reached);
         }
-        // What is due is decided before `publish` sends acknowledgements: the producer that has one sees the update
-        // that its observations made due.
+        // Due updates are determined before `publish` sends acknowledgements: a producer with an acknowledgement sees
+        // the update that its observations made due.
         let may_update = self.may_update();
         if self.stopping.is_none() && self.appends.failure().is_none() && self.follower.is_writing() {
             self.updates.schedule.look_at_data(&self.map, &self.sessions, now);
@@ -349,8 +349,8 @@ impl Writer {
             self.updates.schedule.look(&self.map, now);
         }
         self.publish();
-        // After `publish`, so that the streams of a failure hear of what became durable first; before anything new is
-        // appended, because the log accepts nothing until it resumes.
+        // After `publish`, so that the streams of a failure first receive the acknowledgement of what became durable;
+        // before any new append, because the log accepts nothing until it resumes.
         if self.appends.end_failure() {
             self.sessions.roll_back();
             self.log.resume();
@@ -367,7 +367,7 @@ impl Writer {
         if self.stopping.is_none() && self.appends.failure().is_none() {
             self.say_update_end();
         }
-        // Before the backlog: an update makes room, so that a due one goes first. The same holds for appends and for a
+        // Before the backlog: an update makes room, so a due update goes first. This also holds for appends and for a
         // running update.
         if may_update {
             self.start_update(now);
@@ -384,7 +384,7 @@ impl Writer {
         }
     }
 
-    /// Publishes what was applied, then answers those who wait for it.
+    /// Publishes the applied changes, then replies to the requests that wait for them.
     fn publish(&mut self) {
         if std::mem::take(&mut self.changed) {
             self.view.store(Arc::new(self.map.publish()));
@@ -444,7 +444,7 @@ impl Writer {
             Ending::Replaced => "a copy of another daemon's map takes the place of the map",
             _ => "the daemon is stopping",
         };
-        // Commands after the stop are answered, not executed.
+        // Commands after the stop get a reply, but are not executed.
         for command in inbox.try_iter() {
             match command {
                 Command::Hello(hello) => self.backlog.wait_hello(hello),
@@ -461,7 +461,7 @@ impl Writer {
         }
         // History without its snapshot belongs to an update that is abandoned: the log has both.
         let fork = self.follower.fork();
-        // Nor is saved what the shared log does not have.
+        // Data that the shared log does not have is not saved either.
         let may_save = |snapshot: &MapSnapshot| {
             ending != Ending::MapDeleted && fork.is_none_or(|common| snapshot.position <= common)
         };
@@ -474,10 +474,10 @@ impl Writer {
         }
         let forked = fork.map(|common| ForkedMap { id: self.id, map: self.map.spec().name.clone(), common });
         let forks = self.context.forks.clone();
-        // The store too is released before the caller of the stop continues.
+        // The store is also released before the caller of the stop continues.
         drop(self);
         if let Some(forked) = forked {
-            // The daemon is stopping if nobody listens.
+            // If nobody listens, the daemon is stopping.
             let _ = forks.send(forked);
         }
         if let Some(done) = done {

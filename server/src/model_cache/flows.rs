@@ -1,6 +1,6 @@
 //! Flows of people, from the readings of their positions and directions.
 //!
-//! Invariant: a flow is trained on detections that have both, at least one.
+//! Invariant: a flow is trained on at least one detection, and only on detections that have both.
 
 use tidemap_map::{ids::StateId, spec::MapSpec};
 use tidemap_model::{
@@ -25,7 +25,7 @@ pub(crate) struct FlowKey {
     pub generation: u64,
     /// The first axes of the positions and of the motion.
     pub states: [StateId; 2],
-    /// The bits of the corners and of the edge, if they are given.
+    /// The bits of the corners and of the edge length, if they are given.
     raster: [u64; 5],
     directions: usize,
 }
@@ -43,11 +43,11 @@ impl FlowKey {
 }
 
 /// Trains a flow on the readings of the x and y axes of positions, and of two axes of their motion, each ascending by
-/// time. Of several readings of the same time, the first belong together, then the second, and so on.
+/// time. If several readings have the same time, the first ones belong together, then the second ones, and so on.
 ///
 /// # Errors
-/// [`ModelUnavailable`] if no time is among both, nobody moves, nobody is in the region, the raster is too large, or
-/// the training is stopped.
+/// [`ModelUnavailable`] if positions and motion have no common time, nobody moves, nobody is in the region, the raster
+/// is too large, or the training is stopped.
 pub(crate) fn train_flow(
     source: &FlowSource,
     places: [&[Sample]; 2],
@@ -70,10 +70,10 @@ pub(crate) fn train_flow(
     })
 }
 
-/// Positions with a direction.
+/// Detections with a direction.
 struct Detected {
     detections: Vec<FlowDetection>,
-    /// How many there would be if nobody stood.
+    /// Number of detections, including people who stand.
     pairs: usize,
 }
 
@@ -97,7 +97,7 @@ fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Detect
     found
 }
 
-/// The raster of a source; by default cells of a metre over all detections, or larger ones.
+/// The raster of a source; by default cells of a metre over all detections, or larger cells.
 fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaster, ModelUnavailable> {
     let bound = |axis: usize, start: f64, nearer: fn(f64, f64) -> f64| {
         detections.iter().map(|detection| detection.place_m[axis]).fold(start, nearer)
@@ -106,7 +106,8 @@ fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaste
         Some(region) => ([0, 1].map(|axis| region.low_m[axis]), [0, 1].map(|axis| region.high_m[axis])),
         None => {
             let edge = source.edge_m.unwrap_or(EDGE_M);
-            // Whole cells from the origin, so that they stay where they are when somebody walks farther.
+            // The raster begins at whole cells from the origin, so that the cells stay in place when somebody walks
+            // farther.
             let low = [0, 1].map(|axis| (bound(axis, f64::INFINITY, f64::min) / edge).floor() * edge);
             // The upper ends of cells are open.
             (low, [0, 1].map(|axis| bound(axis, f64::NEG_INFINITY, f64::max) + 1e-6 * edge))
@@ -146,7 +147,8 @@ mod tests {
     fn positions_and_directions_of_the_same_time_belong_together() {
         let x = samples(&[(1, 1.0), (2, 2.0), (2, 2.5), (3, 3.0), (4, 4.0)]);
         let y = samples(&[(1, 0.0), (2, 0.0), (2, 0.5), (3, 0.0), (4, 0.0)]);
-        // None at 1, two at 2, one more than positions at 3, somebody who stands at 4.
+        // There is no pair at time 1, two are at 2, one more motion than positions is at 3, and a person who stands at
+        // 4.
         let along = samples(&[(2, 1.0), (2, 0.0), (3, -1.0), (3, 5.0), (4, 0.0)]);
         let across = samples(&[(2, 0.0), (2, 1.0), (3, 0.0), (3, 5.0), (4, 0.0)]);
         let Detected { detections: found, pairs } = detections([&x, &y], [&along, &across]);

@@ -1,6 +1,7 @@
 //! The distribution of a state over place and time, p(a | x, t), by warped hypertime.
 //!
-//! Invariant: it is trained on observations of the state at whose time a position was observed, at least one.
+//! Invariant: the model is trained on at least one observation of the state, and only on observations at whose time a
+//! position was observed.
 
 use tidemap_map::spec::MapSpec;
 use tidemap_model::{
@@ -16,11 +17,11 @@ pub(crate) struct PlaceModel {
 }
 
 impl PlaceModel {
-    /// Trains a model on the readings of a state and those of the axes of a vector, each ascending by time. Of several
-    /// readings of the same time, the first belong together, then the second, and so on.
+    /// Trains a model on the readings of a state and those of the axes of a vector, each ascending by time. If several
+    /// readings have the same time, the first ones belong together, then the second ones, and so on.
     ///
     /// # Errors
-    /// [`CannotTrain`] if an option is out of range, no time is among both, or the training is stopped.
+    /// [`CannotTrain`] if an option is out of range, state and vector have no common time, or the training is stopped.
     pub(crate) fn train(
         options: &HypertimeOptions,
         values: &[Sample],
@@ -62,7 +63,7 @@ impl PlaceModel {
         self.observations
     }
 
-    /// The distribution at a place, in metres, and a moment; `None` if it is undefined.
+    /// The distribution at a place, in metres, and a moment; `None` if the distribution is undefined.
     pub(crate) fn at(&self, place_m: &[f64], at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, place_m)
     }

@@ -1,4 +1,4 @@
-//! The distribution over positions of a vector at a time, by warped hypertime, and how many positions there are.
+//! The distribution over positions of a vector at a time, by warped hypertime, and the number of positions.
 //!
 //! Invariant: a model is trained on at least one position, and its results are finite.
 
@@ -18,7 +18,7 @@ const COUNTED_MAX: i64 = 100_000;
 #[derive(Clone, Debug)]
 pub(crate) struct PositionModel {
     field: HypertimeField,
-    /// How many positions there are in an interval (RA-L 2019 section IV.D; the rate after Jovan et al.).
+    /// The number of positions in an interval (RA-L 2019 section IV.D; the rate after Jovan et al.).
     rate: PoissonSpectral,
     low_m: Vec<f64>,
     high_m: Vec<f64>,
@@ -70,12 +70,12 @@ impl PositionModel {
         Ok(Self { field, rate, low_m, high_m, positions: first.len() as u64 })
     }
 
-    /// Number of positions that it was trained on.
+    /// Number of positions on which the model was trained.
     pub(crate) fn positions(&self) -> u64 {
         self.positions
     }
 
-    /// The least and the greatest coordinates of these, in metres by axis.
+    /// The least and the greatest coordinates of the training positions, in metres by axis.
     pub(crate) fn bounds_m(&self) -> (&[f64], &[f64]) {
         (&self.low_m, &self.high_m)
     }
@@ -85,7 +85,7 @@ impl PositionModel {
         self.rate.predict(at) / (self.rate.bin_nanos() as f64 / 1e9)
     }
 
-    /// The distribution at a moment; `None` if it is undefined.
+    /// The distribution at a moment; `None` if the distribution is undefined.
     pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])
     }
@@ -97,7 +97,7 @@ struct Counts {
     bin_nanos: i64,
 }
 
-/// Counts positions, which are taken to be all that there were from the first to the last.
+/// Counts positions, which are taken to be all positions from the first to the last.
 fn counts(positions: &[Sample]) -> Counts {
     let (first, last) = (positions.first(), positions.last());
     let span = first.zip(last).map_or(0, |(first, last)| last.utc_nanos.saturating_sub(first.utc_nanos));

@@ -1,4 +1,4 @@
-//! Which trained models are kept, for how long, and how often one is trained.
+//! Tests which trained models are kept, for how long, and how often one is trained.
 
 use std::{
     convert::Infallible,
@@ -50,7 +50,7 @@ async fn a_model_is_trained_once_however_many_ask_for_it() {
             })
         })
         .collect();
-    // While it is trained, others are requested and trained.
+    // While this model is trained, others are requested and trained.
     while trained.load(Ordering::Relaxed) == 0 {
         tokio::task::yield_now().await;
     }
@@ -77,7 +77,7 @@ async fn the_least_recently_used_model_goes() {
     keep(&cache, key(4), 0.5).await;
     let kept: Vec<u32> = (1..=4).filter(|&state| cache.get(&key(state)).is_some()).collect();
     assert_eq!(kept, [1, 2, 4]);
-    // They were just looked up, so that 1 is the oldest.
+    // These models were just looked up, so 1 is the oldest.
     keep(&cache, key(5), 0.5).await;
     keep(&cache, key(6), 0.5).await;
     let kept: Vec<u32> = (1..=6).filter(|&state| cache.get(&key(state)).is_some()).collect();
@@ -141,7 +141,7 @@ async fn a_model_that_is_being_trained_is_not_given_up_for_others() {
     go.notify_one();
     assert_eq!(running.await.expect("no panic"), Ok(()));
     assert_eq!(cache.get(&key(1)).map(|trained| value(&trained)), Some(0.25));
-    // The extra model goes with the next one.
+    // The extra model is removed with the next one.
     keep(&cache, key(4), 0.5).await;
     assert_eq!(cache.entries.lock().expect("no panic").slots.len(), 1);
 }
@@ -155,7 +155,7 @@ async fn a_training_goes_on_while_anybody_waits_and_never_again_once_told_to_sto
     assert!(!stop.is_set(), "the other waits");
     drop(other);
     assert!(stop.is_set());
-    // Who asks now gets a training of its own.
+    // A request at this time gets a training of its own.
     let late = cache.interest(key(1));
     assert!(stop.is_set() && !late.training_stop().is_set());
 }

@@ -1,7 +1,7 @@
 //! One trained model of any kind, of a named state or a cell.
 //!
-//! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
-//! any other model.
+//! Invariant: a prediction is within the bounds of the state's kind. All models have the same prediction for an
+//! untrained state.
 
 use tidemap_map::{event::StateKind, spec::MapSpec, view::MapView};
 use tidemap_model::{
@@ -18,16 +18,17 @@ use crate::state_or_cell::StateOrCell;
 pub(crate) enum CachedModel {
     /// There are no readings: the prediction of an untrained state.
     Unlearned,
-    /// The model; one with orders was trained at the highest, which answers for all lower ones.
+    /// The model; a model with orders was trained at the highest order, and predicts for all lower ones.
     Trained(TrainedModel),
 }
 
 impl CachedModel {
     /// Trains a model on the readings of a state, ascending by time, whose values are of a kind. Models that need no
-    /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
+    /// readings ([`ModelKind::needs_readings`]) return [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotTrain`] if a parameter is out of range, the model does not support the readings, or was told to stop.
+    /// [`CannotTrain`] if a parameter is out of range, the model does not support the readings, or the training
+    /// received the signal to stop.
     pub(crate) fn train(
         kind: ModelKind,
         state_kind: StateKind,
@@ -44,7 +45,7 @@ impl CachedModel {
     }
 
     /// Probability that the state is 1, or the forecast, at each of the moments, written to `out`, which has their
-    /// length. A model that stores its outliers answers 0 or 1 there, as observed.
+    /// length. A model that stores its outliers predicts 0 or 1 there, as observed.
     pub(crate) fn predict_into(
         &self,
         view: &MapView,
@@ -56,7 +57,7 @@ impl CachedModel {
         self.answer(view, target, moments, selector, true, out);
     }
 
-    /// Predicts as [`CachedModel::predict_into`], but without stored outliers, to judge observations.
+    /// Does the same as [`CachedModel::predict_into`], but without stored outliers, to judge observations.
     pub(crate) fn expect_into(
         &self,
         view: &MapView,
@@ -90,7 +91,7 @@ impl CachedModel {
     }
 }
 
-/// A model with what it takes from a query.
+/// A model with the data that it takes from a query.
 struct Answering<'a> {
     model: &'a TrainedModel,
     inputs: QueryInputs,
@@ -102,7 +103,7 @@ impl TemporalModel for Answering<'_> {
     }
 }
 
-/// Answers one value at all moments.
+/// A model that predicts one value at all moments.
 struct Constant(f64);
 
 impl TemporalModel for Constant {

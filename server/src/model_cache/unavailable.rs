@@ -1,4 +1,4 @@
-//! Why a model cannot answer for a state.
+//! The reason why a model cannot predict a state.
 //!
 //! Invariant: the reason names the setting or the command that would change it, if there is one.
 
@@ -7,7 +7,7 @@ use tidemap_model::{models::CannotTrain, selector::ModelKind};
 
 use crate::state_or_cell::StateOrCell;
 
-/// What a model is of.
+/// The subject of a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum ModelSubject {
     /// A state or cell.
@@ -18,7 +18,7 @@ pub(crate) enum ModelSubject {
     Flow { state: String, motion_state: String },
 }
 
-/// Why a model cannot answer for a state.
+/// The reason why a model cannot predict a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {
     #[error("it must be trained on observations, and the map, created with {option} \"none\", keeps none")]
@@ -49,10 +49,10 @@ pub(crate) enum ModelUnavailable {
 }
 
 impl ModelUnavailable {
-    /// Checks that what is predicted, and its values, support a kind of model.
+    /// Checks that the predicted state or cell, and its values, support a kind of model.
     ///
     /// # Errors
-    /// Why they do not.
+    /// The reason why they do not.
     pub(crate) fn check(target: &StateOrCell, view: &MapView, kind: ModelKind) -> Result<(), ModelUnavailable> {
         if matches!(target, StateOrCell::Cell(_)) && !kind.needs_readings() && !kind.is_for_cells() {
             return Err(ModelUnavailable::StatesOnly);

@@ -1,10 +1,11 @@
-//! Who takes of what clients share: the holder of a token, or an address that shows none.
+//! A client that takes shares: the holder of a token, or an address that shows none.
 //!
-//! A daemon of a cluster passes requests on for many clients. One with a token is known by it. For one without, the
-//! daemon names the client's address, and proves by the secret of the cluster that the name is its own.
+//! A daemon of a cluster passes requests on for many clients. A client with a token is identified by it. For a client
+//! without, the daemon names the client's address, and proves by the secret of the cluster that it has written the name
+//! itself.
 //!
-//! Invariant: nobody outside of the cluster can name another client than the one that it is. The proof reveals nothing
-//! of the secret.
+//! Invariant: nobody outside of the cluster can name a client other than itself. The proof reveals nothing of the
+//! secret.
 
 use std::{fmt, net::IpAddr, sync::Arc};
 
@@ -15,7 +16,7 @@ use crate::{
     connections::Peer,
 };
 
-/// The header with the address of the client for whom a daemon passes a request on, and the proof.
+/// The header with the address of the client for which a daemon passes a request on, and the proof.
 const PASSED_FOR: HeaderName = HeaderName::from_static("tidemap-passed-for");
 
 tokio::task_local! {
@@ -28,7 +29,7 @@ tokio::task_local! {
 pub(crate) enum Client {
     /// The holder of the token with this id.
     Token(Arc<str>),
-    /// Everybody at an address without a token.
+    /// All callers at an address without a token.
     Address(Peer),
 }
 
@@ -50,28 +51,30 @@ impl Client {
         }
     }
 
-    /// The client of the request that this task works on. A task that was spawned by the work on a request does not
-    /// know it, unless it was started with [`Client::scope`].
+    /// The client of the request that this task works on. A task that was spawned by the work on a request has no
+    /// client, unless it was started with [`Client::scope`].
     pub(crate) fn current() -> Self {
         CLIENT.try_with(Clone::clone).unwrap_or(Self::Address(Peer::Local))
     }
 
-    /// Does work for this client.
+    /// Does the work for this client.
     pub(crate) fn scope<F: Future>(self, work: F) -> impl Future<Output = F::Output> {
         CLIENT.scope(self, work)
     }
 
-    /// Whether it is a program of this machine that has no token.
+    /// Whether the client is a program of this machine that has no token.
     pub(crate) fn is_of_this_machine(&self) -> bool {
         matches!(self, Self::Address(peer) if peer.is_of_this_machine())
     }
 
-    /// Its name where a map notes who has introduced a producer; empty if it has no share of its own.
+    /// Name of the client, with which a map records who has introduced a producer; empty if the client has no share of
+    /// its own.
     pub(crate) fn share_name(&self) -> String {
         if self.is_of_this_machine() { String::new() } else { self.to_string() }
     }
 
-    /// Names this client in the headers of a request that is passed on. Whatever the client had said there goes.
+    /// Names this client in the headers of a request that is passed on. A name that the client had set there is
+    /// removed.
     pub(crate) fn name_in(&self, headers: &mut HeaderMap, secret: Option<&PeerSecret>) {
         headers.remove(PASSED_FOR);
         if let (Self::Address(peer), Some(secret)) = (self, secret) {
@@ -113,7 +116,7 @@ mod tests {
             let headers = HeaderMap::from_iter([(PASSED_FOR, HeaderValue::from_str(&forged).expect("text"))]);
             assert_eq!(client_of(&headers, Some(&secret)), Client::Address(gateway), "{forged}");
         }
-        // What the client says itself does not go on.
+        // A name that the client sets itself is not passed on.
         Client::Token("id".into()).name_in(&mut headers, Some(&secret));
         assert!(headers.is_empty());
     }

@@ -1,6 +1,6 @@
-//! The table "Shares" of the guide, row by row: one client fills the pool, and another one still works.
+//! Tests the table "Shares" of the guide, row by row: one client fills the pool, and another one still works.
 //!
-//! Invariant: each row has a case here, and each share a row.
+//! Invariant: each row has a case here, and each share has a row.
 
 use std::any::Any;
 
@@ -13,10 +13,10 @@ use tidemap_store::MapId;
 
 const PAGE: &str = include_str!("../../../docs/src/limits.md");
 
-/// Something of a pool, held until it is dropped.
+/// A part of a pool, held until it is dropped.
 type HeldShare = Box<dyn Any>;
 
-/// Takes one of a pool as a client; of bytes, a MiB.
+/// Takes one unit of a pool as a client; for bytes, a MiB.
 type Take = Box<dyn Fn(u8) -> Option<HeldShare>>;
 
 struct ShareRow {
@@ -59,7 +59,7 @@ fn connections(port: Port, (total, per_client): (usize, usize)) -> Take {
 fn share(share: Share, amount: usize) -> Take {
     let shares = Shares::new(ShareLimits::of(&Settings::default()));
     Box::new(move |client| {
-        // Each client has a map of its own: the share of a map is another row's.
+        // Each client has a map of its own: the share of a map is in another row.
         let whose = (&Client::Token(client.to_string().into()), MapId(client.into()));
         shares.take_for(share, whose, amount).ok().map(|taken| Box::new(taken) as HeldShare)
     })
@@ -79,7 +79,7 @@ const MIB: usize = 1 << 20;
 const HALVED_POOL: &str = "bytes of tables of tiles and unfinished scans";
 const HTTP_POOL: &str = "connections of the HTTP port (by address)";
 
-/// The rows of the shares, and how much is one of them.
+/// The rows of the shares, and the size of one unit.
 const SHARES: [(&str, Share, usize); 11] = [
     ("requests under way", Share::Requests, 1),
     ("health checks without a token", Share::Open, 1),
@@ -94,7 +94,7 @@ const SHARES: [(&str, Share, usize); 11] = [
     ("updates that were asked for and have not ended", Share::Updates, 1),
 ];
 
-/// A row that tests elsewhere fill: its pool, the test, and the file that has it.
+/// A row that other tests fill: its pool, the test, and the file of the test.
 type FilledElsewhere = (&'static str, &'static str, &'static str);
 
 const IMPORT_TURNS: &str = include_str!("../web/recordings/turns.rs");
@@ -124,19 +124,19 @@ fn constant(file: &str, name: &str) -> usize {
     number(value)
 }
 
-/// The bounds of such a row.
+/// The bounds of a row that other tests fill.
 fn bounds_elsewhere(pool: &str) -> (usize, usize) {
     let settings = Settings::default();
     match pool {
         "producers and labels of a map" => (settings.max_producers_per_map, settings.max_producers_per_client),
         "states of a map" => (settings.max_states_per_map, settings.max_states_per_map / 2),
         "tiles of a map" => (settings.max_tiles_per_map, settings.max_tiles_per_map / 2),
-        // By its text: the web uses the shares, and not the other way round.
+        // The value is read from the text of the source: the web uses the shares, and not the other way round.
         _ => (constant(IMPORT_TURNS, "TURNS"), constant(IMPORT_TURNS, "TURNS_OF_CLIENT")),
     }
 }
 
-/// Takes one of the pool of a row.
+/// Takes one unit of the pool of a row.
 fn take(pool: &str) -> Option<Take> {
     let settings = Settings::default();
     if let Some((_, kind, amount)) = SHARES.iter().find(|(name, ..)| *name == pool) {
@@ -174,9 +174,9 @@ fn one_client_fills_its_part_of_each_pool_and_others_go_on() {
         assert_eq!(fill(1), *of_client, "{pool}: what one client has");
         assert!(of_client < in_all, "{pool}");
         let others: usize = (2..=200).map(&mut fill).sum();
-        // Connections of the HTTP port that are held by those who have most make room for others.
+        // On the HTTP port, connections of the clients that have most make room for others.
         let may_be_more = pool == HTTP_POOL;
-        // Of what is left each map takes half, so that the last MiB is never taken.
+        // Each map takes half of the rest, so the last MiB is never taken.
         let may_be_less = pool == HALVED_POOL;
         let left = in_all - of_client;
         let is_right = others == left || (may_be_more && others > left) || (may_be_less && others + 1 == left);

@@ -1,7 +1,7 @@
-//! What clients wait for instead of being refused.
+//! Resources for which clients wait, instead of being refused.
 //!
-//! Invariant: who waits for a client's or a map's part holds nothing of what all share. A part has room for the largest
-//! amount that is taken at once, so that all that waits ends.
+//! Invariant: a request that waits for the part of a client or a map holds nothing of the common share. A part has room
+//! for the largest amount that is taken at once, so that every wait ends.
 
 use std::{
     collections::HashMap,
@@ -13,29 +13,29 @@ use tokio::sync::Semaphore;
 
 use super::{client::Client, half};
 
-/// Who has a part.
+/// The holder of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Holder {
     Client(Client),
     Map(MapId),
 }
 
-/// Something of which each client and each map has half at most. Clones share it.
+/// A resource of which each client and each map has half at most. Clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct WaitedShare {
     all: Arc<Semaphore>,
     part: usize,
-    // A lock, because streams come from all tasks; held only to look a part up.
+    // The parts have a lock, because streams come from all tasks; it is held only for a lookup.
     parts: Arc<Mutex<HashMap<Holder, Weak<Semaphore>>>>,
 }
 
 impl WaitedShare {
-    /// `total` of it; nobody takes more than `largest` at once.
+    /// Creates a share of `total`; nobody takes more than `largest` at once.
     pub(crate) fn new(total: usize, largest: usize) -> Self {
         Self { all: Arc::new(Semaphore::new(total)), part: half(total).max(largest), parts: Arc::default() }
     }
 
-    /// What a client has to wait for, one after the other, for work on a map.
+    /// The semaphores for which a client has to wait, one after the other, for work on a map.
     pub(crate) fn of(&self, client: &Client, map: MapId) -> Vec<Arc<Semaphore>> {
         let client = (!client.is_of_this_machine()).then(|| Holder::Client(client.clone()));
         let mut found: Vec<_> = client.into_iter().chain([Holder::Map(map)]).map(|holder| self.part(holder)).collect();
@@ -48,7 +48,7 @@ impl WaitedShare {
         if let Some(part) = parts.get(&holder).and_then(Weak::upgrade) {
             return part;
         }
-        // Parts that nobody uses any more go.
+        // Unused parts are removed.
         parts.retain(|_, part| part.strong_count() > 0);
         let part = Arc::new(Semaphore::new(self.part));
         parts.insert(holder, Arc::downgrade(&part));
@@ -60,7 +60,7 @@ impl WaitedShare {
 mod tests {
     use super::*;
 
-    /// Takes all that there is, one at a time.
+    /// Takes everything that is free, one unit at a time.
     fn taken(shares: &[Arc<Semaphore>]) -> usize {
         let one = |share: &Arc<Semaphore>| share.try_acquire().ok().map(tokio::sync::SemaphorePermit::forget);
         std::iter::from_fn(|| shares.iter().map(one).collect::<Option<Vec<()>>>()).count()

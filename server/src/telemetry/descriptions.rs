@@ -1,7 +1,7 @@
-//! What each metric means, for `/metrics`, and counters that are there before their first event.
+//! The meaning of each metric, for `/metrics`, and the counters that exist before their first event.
 //!
 //! Invariant: every metric has a line here; a test compares a running daemon's metrics with these lines. A counter
-//! begins at 0: one that is born at 1 has no increase, and no alert rings for its first event.
+//! begins at 0: a counter that appears at 1 has no increase, and no alert rings for its first event.
 
 use metrics::{Unit, counter, describe_counter, describe_gauge, describe_histogram, histogram};
 
@@ -98,10 +98,10 @@ const LABELLED: &[(&str, &str, &[&str])] = &[
     ("tidemap_connections_silent", "port", &["grpc", "http", "probes", "imports"]),
 ];
 
-/// Codes of requests that are counted from 0 on: success, and those of which the daemon is to blame.
+/// Codes of requests that are counted from 0 on: success, and the codes for faults of the daemon.
 const CODES: [&str; 5] = ["OK", "INTERNAL", "DATA_LOSS", "UNKNOWN", "UNAVAILABLE"];
 
-/// Written by its own module, because its labels come and go.
+/// This metric is written by its own module, because its labels come and go.
 pub(crate) const PRODUCER_SILENT: &str = "tidemap_producer_silent_seconds";
 
 /// Values that go up and down.
@@ -200,12 +200,12 @@ const HISTOGRAMS: &[(&str, &str)] = &[
     ),
 ];
 
-/// What a gauge means.
+/// The meaning of a gauge.
 pub(crate) fn meaning(gauge: &str) -> &'static str {
     GAUGES.iter().find(|(name, _)| *name == gauge).map_or("", |(_, text)| text)
 }
 
-/// Begins all counters at 0, and the histograms that alerts look at.
+/// Begins all counters at 0, and the histograms that alerts use.
 fn begin() {
     let is_labelled = |name: &str| LABELLED.iter().any(|(labelled, ..)| *labelled == name);
     // Requests have two labels. The exporter of traces, if there is one, begins its own.

@@ -1,7 +1,7 @@
-//! The setting `log_level`: what is logged.
+//! The setting `log_level`, which selects the logged events.
 //!
-//! Invariant: a filter that is accepted logs what its words name. `EnvFilter` alone takes a misspelled level for the
-//! name of a part of the program, logs this part, which there is not, and nothing else.
+//! Invariant: an accepted filter logs the parts that it names. `EnvFilter` alone takes a misspelled level for the name
+//! of a part of the program. It then logs only this part, which does not exist.
 
 use anyhow::{Context as _, ensure};
 use tracing_subscriber::EnvFilter;
@@ -36,7 +36,7 @@ fn target_and_level(directive: &str) -> Option<(&str, &str)> {
     Some((target, level))
 }
 
-/// What `log_level` stands for.
+/// The filter that `log_level` means.
 ///
 /// # Errors
 /// A part is neither a level nor a level of a part of the program, or nothing of the daemon would be logged.
@@ -52,7 +52,7 @@ pub(super) fn parse(filter: &str) -> anyhow::Result<EnvFilter> {
         let Some((target, _)) = known else {
             anyhow::bail!("setting log_level is {filter:?}, and {directive:?} is no level: {advice}");
         };
-        // A span alone is of any part of the program.
+        // A span without a target matches every part of the program.
         names_daemon |= target.is_empty() || target.starts_with("tidemap");
     }
     ensure!(

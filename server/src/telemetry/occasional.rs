@@ -1,27 +1,27 @@
-//! Lines of the log that strangers cause: they are written at a bounded rate.
+//! Log lines that strangers can cause. They are written at a bounded rate.
 //!
-//! Invariant: whatever comes, at most one line per [`EVERY`] is written for each [`Occasional`]; the line says how many
-//! were left out since the one before.
+//! Invariant: at most one line per [`EVERY`] is written for each [`Occasional`]; the line contains the number of lines
+//! that were left out since the one before.
 
 use std::{
     sync::{Mutex, PoisonError},
     time::{Duration, Instant},
 };
 
-/// A line is written this often at most.
+/// Least time between two lines.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// When a line of one kind was last written.
+/// The time of the last line of one kind, and the number of lines left out since.
 #[derive(Debug)]
 pub(crate) struct Occasional(Mutex<(Option<Instant>, u64)>);
 
 impl Occasional {
-    /// None was written.
+    /// No line was written yet.
     pub(crate) const fn new() -> Self {
         Self(Mutex::new((None, 0)))
     }
 
-    /// Whether the next line may be written now: the number of lines that were left out before it.
+    /// Whether the next line may be written now; returns the number of lines that were left out before it.
     pub(crate) fn next(&self) -> Option<u64> {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (written, left_out) = &mut *state;

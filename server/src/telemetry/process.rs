@@ -1,6 +1,6 @@
-//! Memory, descriptors and disk of the process, as the system tells them.
+//! Memory, descriptors and disk of the process, as the system reports them.
 //!
-//! Invariant: what the system does not tell is left out.
+//! Invariant: values that the system does not report are left out.
 
 use std::{fs, path::Path};
 

@@ -1,8 +1,8 @@
-//! Spans: what the daemon did and how long it took, for a collector of OpenTelemetry.
+//! Spans: the work of the daemon and its duration, for a collector of OpenTelemetry.
 //!
-//! Invariant: making and ending a span never waits, and fails nothing. A span holds what the code names here, such as
-//! method, map, code and counts; never what a client sent, a path, a token or a key. Without `otlp_endpoint`, no spans
-//! are made.
+//! Invariant: making and ending a span never waits, and causes no failure. A span contains only values that the code
+//! names here, such as method, map, code and counts. It never contains data of a client, a path, a token or a key.
+//! Without `otlp_endpoint`, no spans are made.
 
 use std::{fmt, future::Future};
 
@@ -21,7 +21,7 @@ use recorder::{Recorder, record_request, record_root};
 /// Checks the settings of traces.
 ///
 /// # Errors
-/// One that cannot be used, with its name.
+/// A setting that cannot be used, with its name.
 pub(crate) fn check(otlp_endpoint: &str, trace_ratio: f64) -> anyhow::Result<()> {
     ensure!((0.0..=1.0).contains(&trace_ratio), "setting trace_ratio is {trace_ratio}: it must be between 0 and 1");
     if otlp_endpoint.is_empty() {
@@ -54,8 +54,8 @@ impl fmt::Debug for Span {
 }
 
 impl Span {
-    /// A request's span: one of the trace whose context the headers have, or a trace of its own. Only requests of this
-    /// API have spans.
+    /// The span of a request: a part of the trace whose context is in the headers, or a trace of its own. Only requests
+    /// of this API have spans.
     pub(crate) fn of_request(headers: &HeaderMap, method: &'static str) -> Self {
         if method.starts_with("/tidemap.") { Self(record_request(headers, method)) } else { Self(None) }
     }
@@ -75,12 +75,12 @@ impl Span {
         SPAN.try_with(Clone::clone).unwrap_or_default()
     }
 
-    /// Does work for this span.
+    /// Does the work for this span.
     pub(crate) fn scope<F: Future>(self, work: F) -> impl Future<Output = F::Output> {
         SPAN.scope(self, work)
     }
 
-    /// Whether something is recorded of the span.
+    /// Whether the span is recorded.
     pub(crate) fn is_recorded(&self) -> bool {
         self.0.as_ref().is_some_and(Recorder::is_recorded)
     }
@@ -99,14 +99,14 @@ impl Span {
         }
     }
 
-    /// Marks the span as failed; the text says how in words of the code, such as the code of a status.
+    /// Marks the span as failed; the text is a constant of the code, such as the code of a status.
     pub(crate) fn fail(&self, how: &'static str) {
         if let Some(span) = &self.0 {
             span.fail(how);
         }
     }
 
-    /// Ends the span; what follows is not recorded.
+    /// Ends the span; later events are not recorded.
     pub(crate) fn end(&self) {
         if let Some(span) = &self.0 {
             span.end();

@@ -1,6 +1,7 @@
-//! What every engine has to do. Each engine's own tests run this suite on it.
+//! The behaviour that every engine must have. Each engine's own tests run this suite on it.
 //!
-//! Invariant: asks for nothing that the trait does not promise, and waits for nothing by the clock but by patience.
+//! Invariant: the suite requires nothing that the trait does not promise. It never waits for a fixed time, only with a
+//! patience.
 
 mod patient;
 
@@ -87,7 +88,7 @@ async fn messages_are_read_by_number_and_in_order<E: Engine>(first: &E, second: 
     }
     assert_eq!(second.read("tm_read", 3).await, Ok(Some(message(3, &format!("2{large}")))));
     assert_eq!(second.read("tm_read", 5).await, Ok(None));
-    // A message that is larger than the limit comes alone.
+    // A read returns a message alone if it is larger than the limit of the read.
     let one = second.read_from("tm_read", 2, 1, PATIENCE).await.expect("read");
     assert_eq!(one, [message(2, &format!("1{large}"))]);
     let mut all = Vec::new();
@@ -119,7 +120,7 @@ async fn a_follower_gets_each_message_once_and_in_order<E: Engine>(first: &E, se
         assert_eq!(first.append_if("tm_follow", sequence - 1, content, PATIENCE).await, Ok(sequence));
     }
     following.await.expect("the follower");
-    // Going back is reading again.
+    // A follower may go back and read the same messages again.
     let again = second.read_from("tm_follow", COUNT - 1, 1 << 20, PATIENCE).await.expect("read");
     assert_eq!(again.first().map(|message| message.sequence), Some(COUNT - 1));
 }
@@ -133,7 +134,7 @@ async fn what_is_purged_is_gone_and_numbers_go_on<E: Engine>(engine: &E) {
     assert_eq!((ends.first, ends.last), (4, 5));
     assert_eq!(engine.read("tm_purge", 3).await, Ok(None));
     assert_eq!(engine.read("tm_purge", 4).await, Ok(Some(message(4, "a"))));
-    // What lies behind a gap is not returned.
+    // A read does not return the messages behind a gap.
     let gap = engine.read_from("tm_purge", 2, 1 << 20, Duration::from_millis(300)).await;
     assert_eq!(gap, Ok(Vec::new()));
     engine.purge_before("tm_purge", 2).await.expect("purge what is gone");
@@ -171,7 +172,7 @@ async fn of_concurrent_appends_one_takes_a_number<E: Engine>(first: &E, second: 
     }
 }
 
-/// Waits until the list of maps is this: it may be a little old.
+/// Waits until the list of maps equals `expected`, because the list may be slightly out of date.
 async fn listed<E: Engine, const N: usize>(engine: &E, expected: [(&str, &str, u64); N]) {
     let entry =
         |(key, value, revision): (&str, &str, u64)| (key.to_owned(), KeyEntry { value: bytes(value), revision });

@@ -1,7 +1,7 @@
-//! Requests to NATS, and what a reply or its absence says.
+//! Requests to NATS, and the meaning of a reply or of its absence.
 //!
-//! Invariant: [`EngineError::Unavailable`] is answered only where no server can have taken the request: before it is
-//! sent, or where a server has said that nobody listens or that it has not acted.
+//! Invariant: a call returns [`EngineError::Unavailable`] only where no server can have taken the request: before it is
+//! sent, or where a server has replied that nobody listens or that it has not acted.
 
 use std::{
     collections::BTreeSet,
@@ -29,19 +29,19 @@ use crate::engine::EngineError;
 /// The longest pause between two attempts to connect.
 const RECONNECT_PAUSE_MAX: Duration = Duration::from_millis(500);
 
-/// A server that answers no ping for two of these is given up.
+/// The client gives up a server that answers no ping for two of these intervals.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How long an attempt to connect may take.
+/// Time limit of an attempt to connect.
 const CONNECT_PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long the creation of a consumer may take.
+/// Time limit for the creation of a consumer.
 const CONSUMER_PATIENCE: Duration = Duration::from_secs(2);
 
-/// Why a call has no result.
+/// The reason why a call has no result.
 #[derive(Debug)]
 pub(super) enum CallError {
-    /// JetStream's own reason.
+    /// The error that JetStream returned.
     Api(jetstream::Error),
     Engine(EngineError),
 }
@@ -55,17 +55,17 @@ impl From<CallError> for EngineError {
     }
 }
 
-/// What became of a message that was published.
+/// The outcome of publishing a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Published {
     Appended(u64),
     NotExpected,
 }
 
-/// What the servers have refused on this connection.
+/// The refusals of the servers on this connection.
 #[derive(Default)]
 struct Refusals {
-    /// Why the last attempt to connect was refused.
+    /// The reason why the last attempt to connect was refused.
     connection: Option<String>,
     /// Subjects to which this client may not publish.
     subjects: BTreeSet<String>,
@@ -111,7 +111,7 @@ impl NatsCalls {
         self.request_time_out
     }
 
-    /// What the server says of itself that this client is connected to.
+    /// The data of the server to which this client is connected, as the server reports it.
     pub(super) fn server(&self) -> ServerInfo {
         self.client.server_info()
     }
@@ -128,7 +128,8 @@ impl NatsCalls {
 
     /// Sends a request and waits for its reply.
     async fn request(&self, subject: String, request: Request, patience: Duration) -> Result<Bytes, EngineError> {
-        // What is sent without a connection waits in the client, and takes effect long after its sender has given up.
+        // The client keeps a message that is sent without a connection. It would take effect long after its sender has
+        // given up.
         self.check_connection()?;
         match self.client.send_request(subject.clone(), request.timeout(Some(patience))).await {
             Ok(message) => Ok(message.payload),
@@ -183,7 +184,7 @@ impl NatsCalls {
     ) -> Result<Published, EngineError> {
         let request = Request::new().headers(headers).payload(content);
         let reply = self.request(subject, request, patience).await?;
-        // A reply that cannot be read does not say what became of the message.
+        // A reply that cannot be read does not show whether the stream has the message.
         match serde_json::from_slice(&reply).map_err(|error| EngineError::Unknown(error.to_string()))? {
             Response::Ok(PublishAck { sequence, .. }) => Ok(Published::Appended(sequence)),
             Response::Err { error } => match error.error_code() {
@@ -221,7 +222,7 @@ fn options(settings: &NatsSettings) -> Result<ConnectOptions, EngineError> {
         .ping_interval(PING_INTERVAL)
         .max_reconnects(None)
         .reconnect_delay_callback(pause)
-        // The servers that are named are those that can be reached, and whose names the certificates bear.
+        // Use only the servers of the settings: they can be reached, and the certificates have their names.
         .ignore_discovered_servers();
     // The client library takes no user from a URL.
     if let Some(server) = servers(settings)?.iter().find(|server| server.has_user_pass()) {
@@ -254,7 +255,7 @@ fn options(settings: &NatsSettings) -> Result<ConnectOptions, EngineError> {
     Ok(options)
 }
 
-/// Notes what a server has refused.
+/// Records a refusal of a server.
 fn note(refusals: &mut Refusals, event: Event) {
     match event {
         Event::Connected => *refusals = Refusals::default(),
@@ -292,7 +293,7 @@ fn from_request(error: &RequestError) -> EngineError {
     }
 }
 
-/// What an error of JetStream means.
+/// The meaning of an error of JetStream.
 pub(super) fn from_api(error: &jetstream::Error) -> EngineError {
     let text = error.to_string();
     match error.error_code() {
@@ -302,7 +303,7 @@ pub(super) fn from_api(error: &jetstream::Error) -> EngineError {
         | ErrorCode::MEMORY_RESOURCES_EXCEEDED
         | ErrorCode::STORAGE_RESOURCES_EXCEEDED
         | ErrorCode::STREAM_MAX_STREAM_BYTES_EXCEEDED => EngineError::Full(text),
-        // What the store says: at its limit it has refused; else it may have written.
+        // The store's error: at its limit it has refused the message; otherwise it may have written it.
         ErrorCode::STREAM_STORE_FAILED if text.contains("maximum") => EngineError::Full(text),
         ErrorCode::STREAM_STORE_FAILED | ErrorCode::RAFT_GENERAL | ErrorCode::STREAM_GENERALOR => {
             EngineError::Unknown(text)

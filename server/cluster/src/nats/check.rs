@@ -1,8 +1,8 @@
-//! Whether the servers are what tidemap relies on.
+//! Checks that the servers have the properties on which tidemap relies.
 //!
-//! Older servers take two messages at one position: nats-server 2.9.10 let two writers append after the same message.
+//! Older servers accept two messages at one position: nats-server 2.9.10 let two writers append after the same message.
 //!
-//! Invariant: a server that does not say something is not taken to be right.
+//! Invariant: a property that a server does not report is not assumed.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -17,13 +17,13 @@ use crate::engine::{Engine, EngineError, EngineServer, MESSAGE_BYTES_MAX};
 /// The oldest version of the server that is known to keep the order of appends.
 pub const VERSION_LEAST: (u64, u64, u64) = (2, 15, 1);
 
-/// Answered by every server, where the account may ask.
+/// Every server replies to this subject, if the account has the permission.
 const VARZ: &str = "$SYS.REQ.SERVER.PING.VARZ";
 
-/// How long the next server may take to say what it is, after one has.
+/// Time limit for the report of the next server, after one has replied.
 const NEXT_PATIENCE: Duration = Duration::from_millis(300);
 
-/// Why the engine cannot be used.
+/// The reason why the engine cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NatsCheckError {
     /// A server is too old.
@@ -34,7 +34,7 @@ pub enum NatsCheckError {
     Version {
         /// The server's name.
         server: String,
-        /// The version that it has.
+        /// The server's version.
         version: String,
     },
     /// A server acknowledges before it has made a message durable.
@@ -45,15 +45,15 @@ pub enum NatsCheckError {
         /// The server's name.
         server: String,
     },
-    /// A server takes no messages that are as large as tidemap's.
+    /// A server does not accept messages as large as tidemap's.
     #[error("nats-server {server} takes messages of at most {bytes} bytes: set `max_payload: 2MB`")]
     Payload {
         /// The server's name.
         server: String,
-        /// The limit that it has.
+        /// The server's limit.
         bytes: usize,
     },
-    /// The servers could not be asked.
+    /// The servers did not report their properties.
     #[error(transparent)]
     Engine(#[from] EngineError),
 }
@@ -88,7 +88,7 @@ struct VarzConfig {
     sync_always: bool,
 }
 
-/// All servers that answer; at least the one that the client is connected to.
+/// All servers that reply; at least the server to which the client is connected.
 pub(super) async fn servers(calls: &NatsCalls) -> Vec<EngineServer> {
     let own = calls.server();
     let own = EngineServer { name: own.server_name, version: own.version, syncs_always: None };
@@ -101,7 +101,7 @@ pub(super) async fn servers(calls: &NatsCalls) -> Vec<EngineServer> {
     found.into_values().collect()
 }
 
-/// What the servers say of themselves, where this client's account may ask them.
+/// The reports of the servers, where this client's account has the permission to request them.
 async fn ping(calls: &NatsCalls) -> Vec<Varz> {
     let client = calls.client();
     let inbox = client.new_inbox();
@@ -117,14 +117,14 @@ async fn ping(calls: &NatsCalls) -> Vec<Varz> {
                 found.push(varz);
                 deadline = Instant::now() + NEXT_PATIENCE;
             }
-            // Nobody listens.
+            // No server listens.
             Err(_) => break,
         }
     }
     found
 }
 
-/// Whether a version is at least [`VERSION_LEAST`]. What comes after the numbers, as in `2.16.0-beta`, does not count.
+/// Whether a version is at least [`VERSION_LEAST`]. Text after the numbers, as in `2.16.0-beta`, does not count.
 fn is_new_enough(version: &str) -> bool {
     let mut numbers = version.trim_start_matches('v').splitn(3, '.').map(|part| {
         let digits = part.split(|character: char| !character.is_ascii_digit()).next().unwrap_or_default();
@@ -137,8 +137,8 @@ fn is_new_enough(version: &str) -> bool {
     }
 }
 
-/// Checks the servers before the first call. Where a server does not say whether it makes messages durable before it
-/// acknowledges them, that is logged. Returns what the servers say.
+/// Checks the servers before the first call. Logs a server that does not report whether it makes messages durable
+/// before it acknowledges them. Returns the reports of the servers.
 pub async fn check(engine: &NatsEngine, require_synced: bool) -> Result<Vec<EngineServer>, NatsCheckError> {
     let servers = engine.servers().await?;
     for server in &servers {

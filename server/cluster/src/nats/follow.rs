@@ -1,12 +1,12 @@
-//! Reading a stream from a number on: a consumer per stream stays open between calls, so that the next message comes
+//! Reads a stream from a number on. A consumer per stream stays open between calls, so that the next message comes
 //! without a request.
 //!
-//! At most [`PULLED_BYTES_MAX`] bytes and [`PULLED_MESSAGES_MAX`] messages are asked for at once: the server stalls on
+//! At most [`PULLED_BYTES_MAX`] bytes and [`PULLED_MESSAGES_MAX`] messages are requested at once: the server stalls on
 //! larger pulls.
 //!
-//! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
-//! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the
-//! message: it is on a server that does not catch up. The leader gives the messages then.
+//! Invariant: messages are returned in order and without a gap from the requested number. A consumer that delivers
+//! another number is dropped. A consumer that delivers nothing although the leader of the stream has the message is
+//! dropped too: it is on a server that does not catch up. The messages are then read from the leader.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -28,41 +28,41 @@ use tokio_stream::StreamExt;
 use super::calls::{NatsCalls, from_api};
 use crate::engine::{EngineError, Message};
 
-/// Bytes of one pull. The next one is sent when half of them have come.
+/// Bytes of one pull. The next pull is sent when half of them have arrived.
 const PULLED_BYTES_MAX: usize = 4 << 20;
 
 /// Messages of one pull.
 const PULLED_MESSAGES_MAX: usize = 256;
 
-/// How long the server keeps a consumer that nobody reads.
+/// Time for which the server keeps a consumer that nobody reads.
 const LINGERS: Duration = Duration::from_secs(30);
 
-/// How often the server says that a consumer is alive; without two of these it is given up.
+/// Interval of the server's heartbeats for a consumer; without two of them the consumer is given up.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
-/// How long a pull waits for messages.
+/// Time for which a pull waits for messages.
 const EXPIRES: Duration = Duration::from_secs(20);
 
-/// How long a call waits before it makes a consumer again, so that its caller does not do so all the time.
+/// Pause before a call makes a consumer again, so that its caller does not repeat this without pause.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How long a consumer is silent before the leader is asked whether there is more. Twice that the next time, and so on.
+/// Time without a message after which the leader is queried for more messages. It doubles with each query.
 const SILENT: Duration = Duration::from_secs(1);
 
-/// Messages that are read from the leader, one request each, when a consumer does not give them.
+/// Number of messages that are read from the leader, one request each, when a consumer does not deliver them.
 const READ_BY_LEADER_MAX: u64 = 64;
 
-/// How long the leader may take to answer.
+/// Time limit of the leader's reply.
 const ANSWERS: Duration = Duration::from_millis(500);
 
-/// The longest time between two such questions.
+/// The longest time between two such queries.
 const SILENT_MAX: Duration = Duration::from_secs(30);
 
-/// What becomes of a consumer.
+/// The state of a consumer after a read.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Then {
     GoesOn,
-    /// The next message has another number than the one that was asked for.
+    /// The next message has another number than the requested one.
     Gap,
     Ended,
 }
@@ -71,9 +71,9 @@ enum Then {
 struct Follow {
     messages: pull::Stream,
     next: u64,
-    /// A message that had no room in the reply before.
+    /// A message that had no room in the previous reply.
     left: Option<Message>,
-    /// When the leader is asked next, and how long it was silent then.
+    /// The time of the next query to the leader, and the waiting time before it.
     ask: Instant,
     silent: Duration,
 }
@@ -103,7 +103,7 @@ impl FollowedStreams {
         let slot = Arc::clone(self.streams.lock().await.entry(stream.to_owned()).or_default());
         let Ok(mut slot) = timeout_at(deadline, slot.lock()).await else { return Ok(Vec::new()) };
         loop {
-            // What was in the slot is lost where the caller gives up: the consumer is then made again.
+            // If the caller gives up, the content of the slot is lost: the consumer is then made again.
             let open = slot.take().filter(|follow| follow.next == sequence);
             let mut follow = match open {
                 Some(follow) => follow,
@@ -137,7 +137,8 @@ impl FollowedStreams {
 }
 
 impl Follow {
-    /// What is there up to a number of bytes, and what becomes of the consumer. Waits for the first message.
+    /// The messages that have arrived, up to a number of bytes, and the state of the consumer. Waits for the first
+    /// message.
     async fn take(&mut self, bytes_max: usize, deadline: Instant) -> (Vec<Message>, Then) {
         let mut messages: Vec<Message> = Vec::new();
         let mut bytes = 0;
@@ -145,7 +146,7 @@ impl Follow {
             let message = match self.left.take() {
                 Some(message) => message,
                 None => {
-                    // After the first one, only what has come already.
+                    // After the first message, take only messages that have arrived already.
                     let until = if messages.is_empty() { deadline } else { Instant::now() };
                     match timeout_at(until, self.messages.next()).await {
                         Err(_) => return (messages, Then::GoesOn),
@@ -173,7 +174,7 @@ impl Follow {
         }
     }
 
-    /// Whether the consumer has been silent for so long that the leader is to be asked.
+    /// Whether the consumer has been silent for so long that the leader must be queried.
     fn is_to_be_doubted(&mut self) -> bool {
         let is_due = Instant::now() >= self.ask;
         if is_due {
@@ -184,7 +185,7 @@ impl Follow {
     }
 }
 
-/// The messages from a number on, as far as the leader of the stream gives them.
+/// The messages from a number on, as far as the leader of the stream returns them.
 async fn read_by_leader(calls: &NatsCalls, name: &str, sequence: u64, bytes_max: usize) -> Vec<Message> {
     let (mut messages, mut bytes) = (Vec::new(), 0);
     for sequence in sequence..sequence + READ_BY_LEADER_MAX {
@@ -224,7 +225,7 @@ async fn open_at(calls: &NatsCalls, name: &str, sequence: u64) -> Result<Follow,
     Ok(Follow { messages, next: sequence, left: None, ask: Instant::now() + SILENT, silent: SILENT })
 }
 
-/// Why a consumer could not be made. None that was made without our knowledge harms.
+/// The reason why a consumer could not be made. A consumer that was made although the call failed does no harm.
 pub(super) fn from_consumer(error: &Error<ConsumerErrorKind>) -> EngineError {
     match error.kind() {
         ConsumerErrorKind::JetStream(reason) => from_api(&reason),
@@ -232,7 +233,7 @@ pub(super) fn from_consumer(error: &Error<ConsumerErrorKind>) -> EngineError {
     }
 }
 
-/// Why messages could not be pulled.
+/// The reason why messages could not be pulled.
 pub(super) fn from_batch(error: &pull::BatchError) -> EngineError {
     EngineError::Unknown(error.to_string())
 }

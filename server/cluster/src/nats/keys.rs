@@ -1,6 +1,6 @@
 //! Keys in JetStream: the newest message of a key's subject is its value, and that message's number the revision.
 //!
-//! Invariant: a key is read by the leader, but for [`NatsEngine::list_keys`].
+//! Invariant: a key is read from the leader, except in [`NatsEngine::list_keys`].
 
 use std::time::Duration;
 
@@ -20,10 +20,10 @@ use super::{
 };
 use crate::engine::{Bucket, EngineError, KeyEntry, SetError};
 
-/// The header that says that a key was deleted.
+/// The header that marks a deleted key.
 const OPERATION: &str = "KV-Operation";
 
-/// How long the consumer of a list outlives it where its deletion is lost.
+/// Time for which the consumer of a list remains if the deletion of the consumer is lost.
 const LIST_LINGERS: Duration = Duration::from_secs(5);
 /// Pause after a request that a consumer has ended early.
 const ASK_AGAIN: Duration = Duration::from_millis(50);
@@ -38,7 +38,7 @@ fn is_deletion(headers: &HeaderMap) -> bool {
     headers.get(OPERATION).is_some_and(|operation| matches!(operation.as_str(), "DEL" | "PURGE"))
 }
 
-/// Refuses a key that is no name of a subject.
+/// Refuses a key that is not valid in the name of a subject.
 fn check_key(key: &str) -> Result<(), EngineError> {
     let is_plain = |character: char| character.is_ascii_alphanumeric() || "-_=/.".contains(character);
     let is_whole = !key.is_empty() && !key.starts_with('.') && !key.ends_with('.') && !key.contains("..");
@@ -61,7 +61,7 @@ impl NatsEngine {
         self.stream_name(name)
     }
 
-    /// What the subjects of a bucket's keys begin with.
+    /// The prefix of the subjects of a bucket's keys.
     pub(super) fn key_prefix(&self, bucket: Bucket) -> String {
         format!("$KV.{}.", self.bucket(bucket))
     }
@@ -100,7 +100,7 @@ impl NatsEngine {
         }
     }
 
-    /// All keys of a bucket, by a consumer that is deleted afterwards. It may run on a server that lags.
+    /// All keys of a bucket, by a consumer that is deleted afterwards. The consumer may run on a server that lags.
     pub(super) async fn list_keys(&self, bucket: Bucket) -> Result<Vec<(String, KeyEntry)>, EngineError> {
         self.calls.check_connection()?;
         let (name, prefix) = (self.bucket_name(bucket), self.key_prefix(bucket));
@@ -127,7 +127,7 @@ impl NatsEngine {
             let mut messages = batch.map_err(|error| from_batch(&error))?;
             while come < count {
                 let Ok(Some(Ok(message))) = timeout_at(deadline, messages.next()).await else {
-                    // The server of a new consumer may not listen yet, and then refuses the request at once.
+                    // The server of a new consumer may not listen yet. It then refuses the request at once.
                     tokio::time::sleep(ASK_AGAIN.min(left)).await;
                     break;
                 };
@@ -140,7 +140,7 @@ impl NatsEngine {
                 }
             }
         }
-        // Nobody waits for the reply: a consumer that stays goes by itself.
+        // Nobody waits for the reply: a consumer whose deletion is lost expires by itself.
         let delete = format!("$JS.API.CONSUMER.DELETE.{name}.{}", consumer.cached_info().name);
         drop(self.calls.client().publish(delete, Bytes::new()).await);
         Ok(found)

@@ -1,15 +1,15 @@
-//! How to reach the servers of NATS, and by which names tidemap's streams and buckets go there.
+//! Settings to reach the servers of NATS, and the names of tidemap's streams and buckets there.
 //!
-//! Invariant: no secret is in a message; files with secrets are read when the connection is made.
+//! Invariant: no message contains a secret; files with secrets are read when the connection is made.
 
 use std::{path::PathBuf, time::Duration};
 
 use crate::engine::EngineError;
 
-/// What proves to the servers who connects, besides user and password in a URL.
+/// The credentials with which the client authenticates itself to the servers, besides user and password in a URL.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum NatsCredentials {
-    /// Nothing.
+    /// No credentials.
     #[default]
     None,
     /// A file with a JWT and a seed.
@@ -30,25 +30,25 @@ pub struct NatsTls {
 /// Settings of [`NatsEngine`](super::NatsEngine).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NatsSettings {
-    /// URLs of the servers: `nats://HOST:PORT`, `tls://HOST:PORT`. User and password, or a token, may stand in front of
-    /// HOST without characters that a URL escapes; those of the first URL that has them count for all.
+    /// URLs of the servers: `nats://HOST:PORT`, `tls://HOST:PORT`. User and password, or a token, may precede HOST,
+    /// without characters that a URL escapes; the first URL that has them sets them for all servers.
     pub servers: Vec<String>,
-    /// What proves who connects.
+    /// The credentials of the client.
     pub credentials: NatsCredentials,
-    /// TLS, which is then required; `None`: as the URLs say.
+    /// TLS, which is then required; `None`: the URLs decide.
     pub tls: Option<NatsTls>,
     /// Name of the cluster, in front of the names of all streams and buckets: letters, digits and `-`.
     pub cluster: String,
     /// Name of this client, which the servers show.
     pub client: String,
-    /// How long a call may take that has no patience of its own.
+    /// Time limit of a call that has no patience of its own.
     pub request_time_out: Duration,
     /// Limit of a stream in bytes; `None`: the disk's.
     pub stream_bytes_max: Option<u64>,
 }
 
 impl NatsSettings {
-    /// The defaults, for some servers.
+    /// The default settings, for these servers.
     pub fn new(servers: Vec<String>) -> Self {
         Self {
             servers,
@@ -61,7 +61,7 @@ impl NatsSettings {
         }
     }
 
-    /// Whether the values make sense. An underscore would let two clusters have streams of one name.
+    /// Checks that the values are valid. An underscore would let two clusters have streams with the same name.
     pub(super) fn check(&self) -> Result<(), EngineError> {
         let is_plain = |character: char| character.is_ascii_alphanumeric() || character == '-';
         if self.cluster.is_empty() || !self.cluster.chars().all(is_plain) {

@@ -1,5 +1,5 @@
-//! The engine NATS on real servers: it behaves as an engine, keeps what it has acknowledged when a leader is killed,
-//! and maps errors exactly. Skipped where nats-server is missing.
+//! The NATS engine on real servers: it behaves as an engine, keeps acknowledged messages when a leader is killed, and
+//! maps errors exactly. Skipped where nats-server is missing.
 //!
 //! Invariant: no server outlives its test, and no time is asserted.
 
@@ -25,10 +25,10 @@ use crate::{
 
 const STREAM: &str = "tm_a";
 const PATIENCE: Duration = Duration::from_secs(20);
-/// A request that comes before the server of a new consumer listens is rare.
+/// A request rarely comes before the server of a new consumer listens, so the test makes many lists.
 const LISTS: usize = 300;
 
-/// The settings of a test, which waits longer than a daemon for a machine that is busy.
+/// Settings of a test. It waits longer than a daemon, because the machine may be busy.
 fn patient(mut settings: NatsSettings) -> NatsSettings {
     settings.request_time_out = PATIENCE;
     settings
@@ -52,20 +52,20 @@ async fn three_servers_behave_as_an_engine() {
     behaves(first.clone(), second, 3).await;
     let checked = loop {
         let checked = check(&first, true).await.expect("servers that can be used");
-        // A busy machine may let one answer too late.
+        // On a busy machine one server may reply too late.
         if checked.len() == 3 {
             break checked;
         }
     };
     let says: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
     assert_eq!(says, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
-    // The largest message goes in, and comes back on both ways.
+    // The largest message can be appended, and both kinds of read return it.
     let largest = Bytes::from(vec![7; MESSAGE_BYTES_MAX]);
     first.create_stream("tm_large", 3).await.expect("create");
     assert_eq!(first.append_if("tm_large", 0, largest.clone(), PATIENCE).await, Ok(1));
     assert_eq!(first.read("tm_large", 1).await.expect("read").expect("a message").content, largest);
     assert_eq!(first.read_from("tm_large", 1, 1 << 20, PATIENCE).await.expect("read")[0].content, largest);
-    // Another cluster on the same servers has streams and keys of its own.
+    // Another cluster on the same servers has its own streams and keys.
     let mut other = patient(servers.settings());
     "other".clone_into(&mut other.cluster);
     let other = connect(other).await;
@@ -84,7 +84,7 @@ async fn a_list_is_whole_whatever_server_makes_it() {
     for key in ["a", "b", "c"] {
         revisions.insert(key, engine.set_if(Bucket::Members, key, 0, bytes("0")).await.expect("set"));
     }
-    // A member replaces its report all the time.
+    // A member replaces its report continually.
     for round in 0..LISTS {
         let key = ["a", "b", "c"][round % 3];
         let revision = engine.set_if(Bucket::Members, key, revisions[key], bytes("1")).await.expect("set");
@@ -105,7 +105,7 @@ async fn one_server_behaves_as_an_engine_and_is_checked() {
     let unsynced = NatsCheckError::NotSynced { server: "nats-0".to_owned() };
     assert_eq!(check(&engine, true).await, Err(unsynced));
     assert_eq!(check(&engine, false).await.expect("allowed").len(), 1);
-    // One server cannot hold three replicas.
+    // A single server cannot hold three replicas.
     let outcome = engine.create_stream("tm_three", 3).await;
     assert!(matches!(outcome, Err(EngineError::Refused(_))), "{outcome:?}");
     let outcome = engine.set(Bucket::Maps, "no key", bytes("1")).await;
@@ -134,7 +134,7 @@ async fn errors_say_what_is_known_of_the_effect() {
     };
     assert!(matches!(full, AppendIfError::Engine(EngineError::Full(_))), "{full:?}");
     assert_eq!((last, engine.ends(STREAM).await.expect("ends").last), (3, 3));
-    // Room is made by a purge.
+    // A purge makes room.
     engine.purge_before(STREAM, 3).await.expect("purge");
     assert_eq!(engine.append_if(STREAM, 3, content, PATIENCE).await, Ok(4));
 
@@ -146,19 +146,19 @@ async fn errors_say_what_is_known_of_the_effect() {
     let stranger = NatsEngine::connect(servers.settings_as("stranger")).await.err();
     assert!(matches!(stranger, Some(EngineError::Refused(_))), "{stranger:?}");
 
-    // A server that stands still may have taken the message.
+    // A frozen server may have taken the message.
     servers.signal(0, "STOP");
-    // The signal may not have come yet.
+    // The signal may not have arrived yet.
     sleep(Duration::from_millis(200)).await;
     let unknown = engine.append_if(STREAM, 4, bytes("b"), Duration::from_millis(300)).await;
     assert!(matches!(unknown, Err(AppendIfError::Engine(EngineError::Unknown(_)))), "{unknown:?}");
     servers.signal(0, "CONT");
-    // The repetition with the same expectation succeeds or is refused, and one message is there in the end.
+    // The repetition with the same expectation succeeds or is refused. In the end the stream has exactly one message.
     let again = engine.append_if(STREAM, 4, bytes("b"), PATIENCE).await;
     assert!(matches!(again, Ok(5) | Err(AppendIfError::NotExpected)), "{again:?}");
     assert_eq!(engine.ends(STREAM).await.expect("ends").last, 5);
 
-    // Without a server a call has no effect, once the client knows.
+    // Without a server a call has no effect, once the client has noticed it.
     servers.kill(0);
     let unavailable = loop {
         match engine.append_if(STREAM, 5, bytes("c"), Duration::from_millis(300)).await {
@@ -168,7 +168,7 @@ async fn errors_say_what_is_known_of_the_effect() {
     };
     assert!(matches!(unavailable, Err(AppendIfError::Engine(EngineError::Unavailable(_)))), "{unavailable:?}");
     servers.run(0);
-    // It comes back by itself.
+    // The connection comes back by itself.
     while engine.ends(STREAM).await.is_err() {
         sleep(Duration::from_millis(50)).await;
     }
@@ -177,7 +177,8 @@ async fn errors_say_what_is_known_of_the_effect() {
     assert!(matches!(nobody, Some(EngineError::Unavailable(_))), "{nobody:?}");
 }
 
-/// Appends until a number of messages is acknowledged, as a writer does: what is unknown is found out.
+/// Appends until a number of messages is acknowledged, as a writer does: it finds out the outcome of an append that is
+/// not known.
 async fn write(engine: &NatsEngine, count: u64, acknowledged: &mut BTreeMap<u64, String>) -> Duration {
     let mut longest = Duration::ZERO;
     let mut last_success = Instant::now();
@@ -189,7 +190,7 @@ async fn write(engine: &NatsEngine, count: u64, acknowledged: &mut BTreeMap<u64,
             Ok(sequence) => {
                 assert_eq!(sequence, last + 1);
             }
-            // The only writer: it had got in.
+            // This is the only writer, so the message was appended.
             Err(AppendIfError::NotExpected) => match engine.read(STREAM, last + 1).await {
                 Ok(Some(message)) => assert_eq!(message.content, bytes(&content)),
                 Ok(None) => panic!("the stream refuses {}, and does not have it", last + 1),
@@ -210,7 +211,7 @@ async fn write(engine: &NatsEngine, count: u64, acknowledged: &mut BTreeMap<u64,
     longest
 }
 
-/// What the engine answers once it can: it may have to choose leaders after what a test has done to it.
+/// The reply of the engine once it is available: it may have to elect leaders after the actions of a test.
 async fn answer<T>(mut ask: impl AsyncFnMut() -> Result<T, EngineError>) -> T {
     loop {
         match ask().await {
@@ -221,7 +222,7 @@ async fn answer<T>(mut ask: impl AsyncFnMut() -> Result<T, EngineError>) -> T {
     }
 }
 
-/// Whether the stream has what was acknowledged, and nothing else.
+/// Checks that the stream has all acknowledged messages, and no others.
 async fn check_all(engine: &NatsEngine, acknowledged: BTreeMap<u64, String>) {
     let ends = answer(async || engine.ends(STREAM).await).await;
     assert_eq!((ends.first, ends.last), (1, acknowledged.len() as u64));
@@ -250,7 +251,7 @@ async fn a_killed_leader_loses_nothing_and_appends_come_back() {
     let engine = connect(servers.settings()).await;
     engine.create_stream(STREAM, 3).await.expect("create");
     let mut acknowledged = BTreeMap::new();
-    // A follower that goes on through all of it.
+    // A follower that reads through all of it.
     let follower = engine.clone();
     let following = tokio::spawn(async move {
         let mut next = 1;
@@ -275,7 +276,7 @@ async fn a_killed_leader_loses_nothing_and_appends_come_back() {
         let longest = write(&engine, 50, &mut acknowledged).await;
         println!("kill -9 of the leader {leader}: {longest:.1?} without appends");
         servers.run(index);
-        // The expected number holds whoever leads.
+        // The expected number is checked under every leader.
         let is_refused = answer(async || match engine.append_if(STREAM, 1, bytes("x"), PATIENCE).await {
             Err(AppendIfError::Engine(error)) => Err(error),
             outcome => Ok(outcome == Err(AppendIfError::NotExpected)),
@@ -304,7 +305,7 @@ async fn a_consumer_that_is_silent_while_its_stream_goes_on_is_replaced() {
     engine.create_stream(STREAM, 1).await.expect("create");
     assert_eq!(engine.append_if(STREAM, 0, bytes("a"), PATIENCE).await, Ok(1));
     assert_eq!(engine.read_from(STREAM, 1, 1 << 20, PATIENCE).await.expect("read").len(), 1);
-    // It is as silent as one on a server that does not catch up: it lives, and gives nothing.
+    // Simulates a consumer on a server that does not catch up: it is alive, and delivers nothing.
     let name = engine.stream_name(STREAM);
     let before = consumers(&engine, &name).await;
     assert_eq!(before.len(), 1, "{before:?}");
@@ -327,13 +328,13 @@ async fn a_consumer_that_is_silent_while_its_stream_goes_on_is_replaced() {
     assert_ne!(consumers(&engine, &name).await, before, "another one takes its place");
 }
 
-/// The public key of a user, and its seed: the example of the documentation of NATS.
+/// The public key of a user, and its seed, from the example in the NATS documentation.
 const NKEY: (&str, &str) = (
     "UDXU4RCSJNZOIQHZNWXHXORDPRTGNJAHAHFRGZNEEJCPQTT2M7NLCNF4",
     "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY",
 );
 
-/// An authority, and certificates of it for a server and a client of this machine, as files in a folder.
+/// Writes the certificates of an authority, and of a server and a client of this machine, as files in a folder.
 fn secured(folder: &Path) -> NatsSecurity {
     let mut params = CertificateParams::new(Vec::<String>::new()).expect("parameters");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
@@ -395,14 +396,14 @@ async fn a_leader_that_stood_still_takes_nothing_when_it_wakes() {
     write(&any, 10, &mut acknowledged).await;
     let leader = leader(&any).await;
     let index = servers.index(&leader).expect("a server of the cluster");
-    // One client hangs on the leader, the other one on the two others.
+    // One client is connected to the leader, the other one to the two other servers.
     let on_leader = connect(NatsSettings { servers: vec![servers.url(index)], ..servers.settings() }).await;
     let others = (0..3).filter(|&other| other != index).map(|other| servers.url(other)).collect();
     let elsewhere = connect(NatsSettings { servers: others, ..servers.settings() }).await;
     servers.signal(index, "STOP");
     let frozen = tokio::spawn({
         let on_leader = on_leader.clone();
-        // In the frozen leader's socket when it wakes.
+        // The message is in the frozen leader's socket when it wakes.
         async move { on_leader.append_if(STREAM, 10, bytes("of the frozen"), Duration::from_secs(12)).await }
     });
     let longest = write(&elsewhere, 10, &mut acknowledged).await;
@@ -414,7 +415,7 @@ async fn a_leader_that_stood_still_takes_nothing_when_it_wakes() {
     check_all(&elsewhere, acknowledged).await;
 }
 
-/// A server that says that it has a version, and answers pings only.
+/// A server that reports a given version, and answers pings only.
 async fn pretend(listener: TcpListener, version: &'static str) {
     while let Ok((mut connection, _)) = listener.accept().await {
         tokio::spawn(async move {
@@ -454,7 +455,7 @@ async fn a_server_that_is_too_old_is_refused() {
     }
 }
 
-/// A server that is left alone shows its own part of a stream, which is not where the stream ends.
+/// A server that is cut off from the others returns its own part of a stream, which may end before the stream.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nobody_says_where_a_stream_ends_that_has_lost_most_servers() {
     let mut servers = match NatsServers::start(3).await {
@@ -466,7 +467,7 @@ async fn nobody_says_where_a_stream_ends_that_has_lost_most_servers() {
     write(&engine, 3, &mut BTreeMap::new()).await;
     servers.kill(0);
     servers.kill(1);
-    // Its leader notices after a while that it is alone, and is the leader until then.
+    // The leader notices after a while that it is alone, and is the leader until then.
     loop {
         match engine.health(STREAM).await {
             Ok(StreamHealth { leader: None, .. }) => break,

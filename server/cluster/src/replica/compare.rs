@@ -1,8 +1,8 @@
-//! Comparing this daemon's own log with the shared one.
+//! Compares this daemon's own log with the shared one.
 //!
 //! A message of the stream is **void** if tidemap has not written it, or if its group does not begin where the group
 //! before it ended. The latter happens only where the stream had forgotten messages: an old writer appended behind a
-//! number that had been given again. Void messages are part of no log, and each daemon leaves them out, because each
+//! number that had been used again. Void messages are part of no log, and each daemon leaves them out, because each
 //! reads the messages in their order.
 //!
 //! Invariant: logs are compared by the chain at a position, never by lengths alone, and nothing is changed.
@@ -15,19 +15,20 @@ use crate::{
     message::GroupPart,
 };
 
-/// How many messages before the end are read to find void ones, by a daemon that has not read them before.
+/// Number of messages before the end that are read to find void ones, by a daemon that has not read them before.
 pub(super) const LOOK_BACK: u64 = 1024;
-/// By a daemon that has read all messages in their order up to one: how many before that one.
+/// Number of messages that are read before the last one that was read, by a daemon that has read all messages in their
+/// order up to that one.
 pub(super) const LOOK_BACK_FOLLOWING: u64 = 64;
 
-/// How the own log and the shared one relate.
+/// The relation of the own log to the shared one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Relation {
-    /// The shared log holds all of the own one, up to the message of this number, and perhaps more behind it.
+    /// The shared log contains the whole own log, which ends at the message of this number, and perhaps more behind it.
     Holds {
         /// Number of the last message that the own log has, or that is void.
         last_sequence: u64,
-        /// Whether a complete group comes behind it.
+        /// Whether a complete group follows it.
         has_more: bool,
     },
     /// The shared log ends before the own one, of which it is a part.
@@ -37,27 +38,28 @@ pub(super) enum Relation {
         /// Number of the stream's last message.
         last_sequence: u64,
     },
-    /// They differ behind this position.
+    /// The logs differ behind this position.
     Forked {
-        /// The last position that both have.
+        /// The last position that both logs have.
         common: u64,
     },
-    /// The shared log begins behind the end of the own one, or behind where they begin to differ: what is between is in
-    /// checkpoints of others only.
+    /// The shared log begins behind the end of the own one, or behind the point where they begin to differ. The records
+    /// between are only in checkpoints of other daemons.
     Behind {
-        /// The position before its first record.
+        /// The position before the first record of the shared log.
         from: u64,
-        /// Whether they are known to differ before: the own log has records that the shared one never gets.
+        /// Whether the logs are known to differ before it: the own log then has records that the shared one never gets.
         differs: bool,
     },
-    /// The own log no longer holds the records at the end of the shared one, which is shorter: they cannot be compared.
+    /// The own log no longer has the records at the end of the shared log, which is shorter: the logs cannot be
+    /// compared.
     Unknown {
         /// The end of the shared log.
         end: u64,
     },
 }
 
-/// Why logs could not be compared.
+/// The reason why logs could not be compared.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CompareError {
     #[error(transparent)]
@@ -68,7 +70,7 @@ pub(super) enum CompareError {
     Invalid { stream: String, sequence: u64, reason: &'static str },
 }
 
-/// Where the log stands behind a group that is not void.
+/// The end of a group that is not void.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mark {
     /// Number of the group's first message.
@@ -76,17 +78,17 @@ pub(super) struct Mark {
     pub(super) after: LogPoint,
 }
 
-/// What consecutive messages say.
+/// The groups in consecutive messages.
 #[derive(Debug, Default)]
 pub(super) struct Scan {
-    /// Where the first group begins, and the message before it.
+    /// The point at which the first group begins, and the message before it.
     begin: Option<Mark>,
-    /// Where groups that are not void end.
+    /// The ends of the groups that are not void.
     pub(super) marks: Vec<Mark>,
     epoch: u64,
-    /// A group that is not complete yet: number of its first message, its first part, and which part is next.
+    /// A group that is not complete yet: number of its first message, its first part, and the index of the next part.
     open: Option<(u64, GroupPart, u16)>,
-    /// Number of the last message that was looked at.
+    /// Number of the last message that was read.
     last: u64,
 }
 
@@ -142,10 +144,10 @@ impl<E: Engine> Driver<E> {
         Ok(part.filter(|part| part.map == self.settings.map))
     }
 
-    /// The part in a message, which the stream holds.
+    /// The part in a message that the stream has.
     pub(super) async fn part_at(&self, sequence: u64) -> Result<Option<GroupPart>, CompareError> {
         let message = self.engine.read(&self.settings.stream, sequence).await?;
-        // It was purged or forgotten since: the caller compares again.
+        // The message was purged or forgotten meanwhile: the caller compares again.
         let gone = || EngineError::Unavailable(format!("message {sequence} is gone"));
         self.part(&message.ok_or_else(gone)?)
     }
@@ -169,7 +171,7 @@ impl<E: Engine> Driver<E> {
         Ok(self.chain_at(point.position).await? == Some(point.chain))
     }
 
-    /// What the messages from `first` to `last` say.
+    /// The groups in the messages from `first` to `last`.
     async fn scan(&self, first: u64, last: u64) -> Result<Scan, CompareError> {
         let mut scan = Scan::default();
         let mut next = first;
@@ -187,12 +189,12 @@ impl<E: Engine> Driver<E> {
         Ok(scan)
     }
 
-    /// How the own log and the shared one relate. The last messages are looked at from `look_back` before the end on,
-    /// or before the last that is known.
+    /// The relation of the own log to the shared one. Reads the last messages, from `look_back` before the end on, or
+    /// before the last known one.
     pub(super) async fn relation(&mut self, look_back: u64) -> Result<Relation, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
         let own = self.shared.log.end();
-        // The last message may be void: what it says of the log is not relied on.
+        // The last message may be void: its content is not relied on.
         let Some(last) = self.part_up_to(ends.last, ends.first.max(1)).await? else {
             return Ok(match own.position {
                 0 => Relation::Holds { last_sequence: ends.last, has_more: false },
@@ -210,7 +212,7 @@ impl<E: Engine> Driver<E> {
         let scan = self.scan(from.max(ends.first), to).await?;
         self.epoch = self.epoch.max(scan.epoch);
         let Some(end) = scan.end() else {
-            // Parts only, of a group whose beginning is purged.
+            // The stream has only parts of a group whose beginning was purged.
             return Ok(Relation::Behind { from: last.after.position, differs: false });
         };
         if to == ends.last {
@@ -247,14 +249,14 @@ impl<E: Engine> Driver<E> {
         Ok(low)
     }
 
-    /// Where the logs, which differ, begin to differ.
+    /// The point at which the logs, which differ, begin to differ.
     async fn fork(&self, scan: &Scan, first: u64, last: u64) -> Result<Relation, CompareError> {
         for mark in scan.begin.iter().chain(&scan.marks).rev() {
             if self.is_own(mark.after).await? {
                 return Ok(Relation::Forked { common: mark.after.position });
             }
         }
-        // Before what was looked at, chains are equal up to the common position and differ behind it.
+        // Before the messages that were read, chains are equal up to the common position and differ behind it.
         let (mut low, mut high) = (first, last + 1);
         while low < high {
             let middle = low + (high - low) / 2;
@@ -272,7 +274,7 @@ impl<E: Engine> Driver<E> {
         if self.is_own(point).await? {
             return Ok(Relation::Forked { common: point.position });
         }
-        // What they have in common is no longer in the stream.
+        // The stream no longer has the records that both logs have in common.
         let behind = Relation::Behind { from: point.position, differs: true };
         Ok(if first > 1 { behind } else { Relation::Forked { common: 0 } })
     }

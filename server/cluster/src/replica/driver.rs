@@ -1,6 +1,6 @@
-//! Running a replica: it compares its log with the shared one, follows it, becomes its writer and stops being it.
+//! Runs a replica: it compares its log with the shared one, follows it, becomes its writer and stops being the writer.
 //!
-//! Invariant: what is told to the map's thread is in the shared log for good and in this daemon's own log.
+//! Invariant: an event that the map's thread receives is in the shared log for good and in this daemon's own log.
 
 use std::{sync::Arc, time::Duration};
 
@@ -18,14 +18,14 @@ use super::{
 };
 use crate::{engine::Engine, lease::LeaseWatch, message::Assembly};
 
-/// Bytes that are read from the stream at once.
+/// Bytes that one read of the stream returns at most.
 pub(super) const READ_BYTES: usize = 8 << 20;
-/// How often the end of the stream is asked for.
+/// Interval at which the end of the stream is read.
 pub(super) const PROBE: Duration = Duration::from_secs(1);
-/// How long a daemon that cannot write its own log leaves the lease to others.
+/// Time for which a daemon that cannot write its own log leaves the lease to others.
 const LET_OTHERS_WRITE: Duration = Duration::from_secs(10);
 
-/// What a replica does next.
+/// The next step of a replica.
 #[derive(Debug)]
 pub(super) enum Next {
     Align,
@@ -36,7 +36,7 @@ pub(super) enum Next {
     Stop,
 }
 
-/// A replica that runs.
+/// A running replica.
 pub(super) struct Driver<E: Engine> {
     pub(super) engine: E,
     pub(super) settings: ReplicaSettings,
@@ -53,13 +53,13 @@ pub(super) struct Driver<E: Engine> {
     pub(super) epoch: u64,
     pub(super) lease_watch: LeaseWatch,
     pub(super) lease_looked: Option<Instant>,
-    /// The own end and the stamp of the stream's last message when they were last found to be equal.
+    /// The end of the own log and the stamp of the stream's last message when they were last found to be equal.
     pub(super) probed_stamp: Option<(LogPoint, u64)>,
-    /// When the end of the stream was asked for, and the number of its last message then.
+    /// The time at which the end of the stream was read last, and the number of its last message then.
     pub(super) end_heard: Option<(Instant, u64)>,
-    /// Whether this daemon has looked far back for void messages.
+    /// Whether this daemon has searched far back for void messages.
     pub(super) has_looked_back: bool,
-    /// The lease, between taking the log over and writing it.
+    /// The lease, from the take-over of the log until it is written.
     pub(super) keeper: Option<LeaseKeeper>,
 }
 
@@ -94,7 +94,7 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// The order that waits, if one does.
+    /// The next waiting order, if there is one.
     pub(super) fn next_order(&mut self) -> Option<Order> {
         self.order.take().or_else(|| self.orders.try_recv().ok())
     }
@@ -119,7 +119,7 @@ impl<E: Engine> Driver<E> {
                     return;
                 }
                 Next::Stop => {
-                    // Not fatal: the log is sound, and another daemon may write it.
+                    // This is not fatal: the log is sound, and another daemon may write it.
                     self.shared.close(&AppendError::NotWriter { writer: None });
                     return;
                 }
@@ -131,7 +131,7 @@ impl<E: Engine> Driver<E> {
         *self.stopping.borrow()
     }
 
-    /// Works on the disk beside the tasks of the runtime.
+    /// Runs disk work outside the tasks of the runtime.
     pub(super) async fn on_disk<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> T {
         if self.settings.disk_inline {
             return work();
@@ -140,7 +140,7 @@ impl<E: Engine> Driver<E> {
             Ok(value) => value,
             Err(error) => match error.try_into_panic() {
                 Ok(panic) => std::panic::resume_unwind(panic),
-                // The runtime ends: nobody waits for this task.
+                // The runtime ends: nothing waits for this task.
                 Err(_) => std::future::pending().await,
             },
         }
@@ -154,7 +154,8 @@ impl<E: Engine> Driver<E> {
         });
     }
 
-    /// The daemon that writes the log, as far as it is known. The map's thread of a follower hears of a change.
+    /// Sets the daemon that writes the log, as far as it is known. In a follower, the map's thread is notified of a
+    /// change.
     pub(super) fn set_writer(&self, writer: Option<String>) {
         let mut role = ReplicaRole::Starting;
         let is_new = self.shared.status.send_if_modified(|status| {
@@ -176,7 +177,7 @@ impl<E: Engine> Driver<E> {
         });
     }
 
-    /// The shared log ends there, as far as it was seen.
+    /// Records that the shared log ends at this position, as far as it was seen.
     pub(super) fn sees_end(&self, position: u64) {
         let (own, epoch) = (self.shared.log.position(), self.epoch);
         self.shared.status.send_modify(|status| {
@@ -186,23 +187,23 @@ impl<E: Engine> Driver<E> {
         });
     }
 
-    /// This daemon has all of the shared log as of a moment; it ended there.
+    /// Records that this daemon has all of the shared log as of `moment`, when it ended at `position`.
     pub(super) fn heard_of(&self, position: u64, moment: Instant) {
         self.sees_end(position);
         self.shared.status.send_modify(|status| status.heard = status.heard.max(Some(moment)));
     }
 
-    /// This daemon cannot write its own log: for a while it does not look at the lease, so that others take it.
+    /// This daemon cannot write its own log: for a while it does not read the lease, so that others take it.
     pub(super) fn let_others_write(&mut self) {
         self.lease_looked = Some(Instant::now() + LET_OTHERS_WRITE);
     }
 
-    /// Whether it is for others to take the lease.
+    /// Whether this daemon leaves the lease to others.
     pub(super) fn lets_others_write(&self) -> bool {
         self.lease_looked.is_some_and(|looked| looked > Instant::now())
     }
 
-    /// Waits a little, or for an order to stop.
+    /// Waits for `duration`, or until an order to stop comes.
     pub(super) async fn pause(&mut self, duration: Duration) {
         let _ = timeout(duration, self.stopping.wait_for(|stopping| *stopping)).await;
     }

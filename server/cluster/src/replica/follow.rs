@@ -1,6 +1,6 @@
-//! Following the shared log: the logs are compared, then what others append is taken in, and the lease is watched.
+//! Follows the shared log: compares the logs, then takes in the records that others append, and watches the lease.
 //!
-//! Invariant: a message is taken in only if it follows what this daemon has; otherwise the logs are compared again.
+//! Invariant: a message is taken in only if it follows the log of this daemon; otherwise the logs are compared again.
 
 use std::time::Duration;
 
@@ -19,30 +19,30 @@ use crate::{
     engine::{Bucket, Engine, EngineError, Message},
 };
 
-/// How long a read waits for the next message. The lease is looked at between reads.
+/// Time for which a read waits for the next message. The lease is read between these reads.
 pub(super) const READ_PATIENCE: Duration = Duration::from_millis(250);
-/// A follower looks at the lease so many times within the time that a lease lasts.
+/// Number of times that a follower reads the lease within the time that a lease lasts.
 pub(super) const LOOKS_PER_LEASE: u32 = 12;
-/// How often a lease is looked at that is about to be handed over to this daemon.
+/// Interval at which a daemon reads a lease that is about to be handed over to it.
 const LOOK_OFTEN: Duration = Duration::from_millis(20);
 /// Pause after an error of the engine.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Candidates take a lease one after the other.
 const RANK_STEP: Duration = Duration::from_millis(500);
 
-/// What is found at the end of the stream.
+/// The comparison of the end of the stream with the end of the own log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StreamEnd {
-    /// What this daemon has.
+    /// The stream ends where the own log ends.
     Own,
-    /// More than this daemon has read.
+    /// The stream has more than this daemon has read.
     More,
-    /// Less, or another record.
+    /// The stream has less, or another record there.
     Lost,
 }
 
 impl<E: Engine> Driver<E> {
-    /// Says whether the map needs a copy of another daemon's.
+    /// Sets whether the map needs a copy of another daemon's map.
     fn set_needs_copy(&self, relation: &Result<Relation, CompareError>) {
         let needs_copy = matches!(relation, Ok(Relation::Behind { .. }));
         let set = |status: &mut ReplicaStatus| std::mem::replace(&mut status.needs_copy, needs_copy) != needs_copy;
@@ -101,7 +101,7 @@ impl<E: Engine> Driver<E> {
                 }
                 Err(error) => self.trouble(Some(error.to_string())),
             }
-            // Whoever is ahead may append what the shared log has forgotten, as its writer.
+            // A daemon whose log is longer may append the records that the shared log has forgotten, as its writer.
             if is_ahead && let Some(revision) = self.look_at_lease().await {
                 return Next::TakeOver(revision);
             }
@@ -110,7 +110,7 @@ impl<E: Engine> Driver<E> {
         Next::Stop
     }
 
-    /// Makes the stream again, which the engine has lost, unless the map was deleted.
+    /// Creates the stream again, which the engine has lost, unless the map was deleted.
     async fn make_stream(&mut self) {
         let (engine, settings) = (&self.engine, &self.settings);
         if !matches!(catalogue::is_deleted(engine, settings.map).await, Ok(false)) {
@@ -124,7 +124,7 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// Looks at the lease now and then; gives its revision when this daemon may take it.
+    /// Reads the lease at intervals; returns its revision when this daemon may take it.
     async fn look_at_lease(&mut self) -> Option<u64> {
         let now = Instant::now();
         let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
@@ -148,7 +148,7 @@ impl<E: Engine> Driver<E> {
         }
         let rank = (*self.rank.borrow())?;
         let patience = match &entry {
-            // A new map waits for nobody but those before.
+            // For a new map, a daemon waits only for the candidates before it.
             None => RANK_STEP * rank,
             Some(_) => self.settings.lease + RANK_STEP * rank,
         };
@@ -157,11 +157,12 @@ impl<E: Engine> Driver<E> {
 
     async fn relation_is_lost(&mut self) -> Result<bool, CompareError> {
         let relation = self.relation(LOOK_BACK_FOLLOWING).await?;
-        // A group that is not complete may come behind it.
+        // An incomplete group may follow it.
         Ok(!matches!(relation, Relation::Holds { has_more: false, .. }))
     }
 
-    /// Whether the stream ends where this daemon has read it to, and with the record that this daemon has there.
+    /// Whether the stream ends at the last message that this daemon has read, and with the record that this daemon has
+    /// there.
     pub(super) async fn probe(&mut self) -> Result<StreamEnd, CompareError> {
         let asked = Instant::now();
         let ends = self.engine.ends(&self.settings.stream).await?;
@@ -169,7 +170,7 @@ impl<E: Engine> Driver<E> {
             return Ok(StreamEnd::Lost);
         }
         if ends.last > self.last_sequence {
-            // Once this daemon has read to there, it knows the log as of this moment.
+            // Once this daemon has read up to there, it has the whole log as of this moment.
             self.end_heard = Some((asked, ends.last));
             if let Some(part) = self.part_up_to(ends.last, self.last_sequence + 1).await? {
                 self.sees_end(part.after.position);
@@ -178,7 +179,7 @@ impl<E: Engine> Driver<E> {
         }
         let own = self.shared.log.end();
         if ends.last > 0 && ends.first <= ends.last && self.probed_stamp != Some((own, ends.stamp)) {
-            // A part that is not the last, or a void message, is compared once more.
+            // A part that is not the last one of its group, or a void message, is compared once more.
             let last = self.part_at(ends.last).await?;
             if last.is_none_or(|part| part.after != own) && self.relation_is_lost().await? {
                 return Ok(StreamEnd::Lost);
@@ -240,7 +241,7 @@ impl<E: Engine> Driver<E> {
                         self.pause(PAUSE).await;
                         return Next::Align;
                     }
-                    // There is more, and nothing of it came since the last look: it was purged.
+                    // The stream has more, and no message of it has arrived since the last probe: it was purged.
                     Ok(StreamEnd::More) if probed_sequence == Some(self.last_sequence) => return Next::Align,
                     Ok(StreamEnd::Own | StreamEnd::More) => probed_sequence = Some(self.last_sequence),
                     Err(error) => self.trouble(Some(error.to_string())),
@@ -250,8 +251,8 @@ impl<E: Engine> Driver<E> {
         Next::Stop
     }
 
-    /// Takes messages of the stream into the own log and tells the map's thread of them. `false`: they do not follow
-    /// what this daemon has, or cannot be written here.
+    /// Takes messages of the stream into the own log and sends them to the map's thread. `false`: they do not follow
+    /// the log of this daemon, or cannot be written here.
     pub(super) async fn take_in(&mut self, messages: Vec<Message>) -> Result<bool, CompareError> {
         let mut followed = Vec::new();
         let mut taken = Ok(true);
@@ -261,7 +262,7 @@ impl<E: Engine> Driver<E> {
                 break;
             }
         }
-        // Whatever came after them: they are in the own log.
+        // These events are in the own log, whatever failed after them.
         if !followed.is_empty() {
             self.tell_followed(followed).await;
             if let Some((asked, _)) = self.end_heard.filter(|&(_, last)| self.last_sequence >= last) {
@@ -307,7 +308,7 @@ impl<E: Engine> Driver<E> {
         let (applied, done) = oneshot::channel();
         (self.listener)(ReplicaEvent::Followed { events, applied });
         let mut stopping = self.stopping.clone();
-        // A thread that ends answers nothing, and one that waits for an update does not answer soon.
+        // A thread that ends never replies, and a thread that waits for an update replies late.
         tokio::select! {
             _ = done => {}
             _ = stopping.wait_for(|stopping| *stopping) => {}

@@ -1,4 +1,4 @@
-//! Keeps a lease: raises its counter until it is lost or given back.
+//! Keeps a lease: raises its counter until the lease is lost or given back.
 //!
 //! Invariant: a lease that was given back is not renewed. While the lease is current by this daemon's own clock, no
 //! other daemon has taken it, because others wait longer than it is current.
@@ -23,7 +23,7 @@ use crate::{
     lease::Lease,
 };
 
-/// What a lease says, and how it is kept.
+/// The content of a lease, and the time for which it lasts.
 pub(super) struct LeaseTerms {
     /// Key of the map.
     pub(super) key: String,
@@ -31,11 +31,11 @@ pub(super) struct LeaseTerms {
     pub(super) member: String,
     /// The epoch that this daemon claims.
     pub(super) epoch: u64,
-    /// How long others wait before they take it.
+    /// Time for which others wait before they take the lease.
     pub(super) lasts: Duration,
 }
 
-/// A lease that this daemon has. Dropped, it is no longer renewed.
+/// A lease that this daemon has. When it is dropped, it is no longer renewed.
 pub(super) struct LeaseKeeper {
     is_lost: watch::Receiver<bool>,
     revision: Arc<AtomicU64>,
@@ -69,7 +69,7 @@ impl LeaseKeeper {
         let revision = Arc::new(AtomicU64::new(revision));
         let known = Arc::clone(&revision);
         let (own_key, own_member, own_shared) = (key.clone(), member.clone(), Arc::clone(&shared));
-        // Others wait for all of it, from a moment on that is later.
+        // Others wait for the whole time of the lease, and they start to wait later than this daemon.
         let is_current_for = lasts * 3 / 4;
         shared.set_current_until(Some(taken + is_current_for));
         let task = tokio::spawn(async move {
@@ -87,7 +87,7 @@ impl LeaseKeeper {
                         known.store(revision, Ordering::Release);
                         shared.set_current_until(Some(begun + is_current_for));
                     }
-                    // A renewal whose answer was lost has been made, or somebody else has taken the lease.
+                    // A renewal whose reply was lost has been made, or somebody else has taken the lease.
                     Err(SetError::NotExpected) => match engine.get(Bucket::Writers, &key).await {
                         Ok(Some(entry)) if Lease::decode(&entry.value).writer == member => {
                             known.store(entry.revision, Ordering::Release);
@@ -95,7 +95,7 @@ impl LeaseKeeper {
                         Ok(_) => break,
                         Err(_) => {}
                     },
-                    // Tried again: the engine may elect a leader.
+                    // Try again: the engine may be electing a leader.
                     Err(SetError::Engine(_)) => {}
                 }
             }
@@ -110,7 +110,7 @@ impl LeaseKeeper {
         self.epoch
     }
 
-    /// Says in the lease who is to have it next, while this daemon goes on writing.
+    /// Names the next holder in the lease, while this daemon goes on writing.
     pub(super) fn announce(&self, successor: &str) {
         self.successor.send_replace(Some(successor.to_owned()));
     }
@@ -125,7 +125,7 @@ impl LeaseKeeper {
         let _ = self.is_lost.clone().wait_for(|lost| *lost).await;
     }
 
-    /// Gives the lease back, to a successor or to any. What the engine answers does not matter: the lease runs out.
+    /// Gives the lease back, to a successor or to any. The engine's reply does not matter: the lease expires.
     pub(super) async fn give_back<E: Engine>(self, engine: &E, successor: Option<String>) {
         self.task.abort();
         self.shared.set_current_until(None);
@@ -134,7 +134,7 @@ impl LeaseKeeper {
             let expected = self.revision.load(Ordering::Acquire);
             match engine.set_if(Bucket::Writers, &self.key, expected, lease.encode()).await {
                 Err(SetError::NotExpected) => match engine.get(Bucket::Writers, &self.key).await {
-                    // The renewal that was cut off had been made.
+                    // The interrupted renewal had been made.
                     Ok(Some(entry)) if Lease::decode(&entry.value).writer == self.member => {
                         self.revision.store(entry.revision, Ordering::Release);
                     }

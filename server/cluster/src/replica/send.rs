@@ -1,7 +1,7 @@
-//! Sending a group to the engine until its outcome is known.
+//! Sends a group to the engine until its outcome is known.
 //!
-//! Invariant: a group counts as sent only if the stream has it at the place that was expected. An outcome that is not
-//! known is found out, never assumed.
+//! Invariant: a group counts as sent only if the stream has it at the expected place. An unknown outcome is found out,
+//! never assumed.
 
 use std::time::Duration;
 
@@ -14,22 +14,22 @@ use crate::engine::{AppendIfError, Engine, EngineError};
 /// Pause before a message is sent again.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// What became of a group.
+/// The outcome of sending a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Sent {
-    /// The stream has it.
+    /// The stream has the group.
     Done,
-    /// The stream does not have it, because somebody else has appended.
+    /// The stream does not have the group, because somebody else has appended.
     Deposed,
-    /// The stream does not have it, nor messages before it that it had.
+    /// The stream does not have the group. It has also lost messages before the group.
     Forgotten,
-    /// The stream does not have it, because it is full.
+    /// The stream does not have the group, because it is full.
     Full(String),
-    /// The daemon stops; whether the stream has it is not known.
+    /// The daemon stops; whether the stream has the group is not known.
     Stopped,
 }
 
-/// What stands where a message was expected.
+/// The content of the stream where a message was expected.
 enum InStream {
     Mine,
     Nothing,
@@ -60,7 +60,7 @@ impl<E: Engine> Driver<E> {
                     self.trouble(None);
                     return Sent::Done;
                 }
-                // The engine has not heeded the condition. The message counts as not there, whatever follows it.
+                // The engine has ignored the condition. The message counts as not sent, whatever follows it.
                 Ok(_) => return Sent::Forgotten,
                 Err(AppendIfError::NotExpected) => match self.look_for(message, expected).await {
                     Ok(InStream::Mine) => {
@@ -77,7 +77,7 @@ impl<E: Engine> Driver<E> {
                     self.trouble(Some(format!("the stream of the map is full: {reason}")));
                     return Sent::Full(reason);
                 }
-                // It can be sent again with the same condition: it can succeed once only.
+                // The message can be sent again with the same condition: this can succeed only once.
                 Err(AppendIfError::Engine(error)) => {
                     self.trouble(Some(error.to_string()));
                     if matches!(self.engine.ends(&self.settings.stream).await, Err(EngineError::Missing(_))) {
@@ -92,7 +92,7 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// What the stream has behind the message `expected`.
+    /// The content of the stream behind the message `expected`.
     async fn look_for(&self, message: &Bytes, expected: u64) -> Result<InStream, EngineError> {
         let stream = &self.settings.stream;
         let last = self.engine.ends(stream).await?.last;
@@ -105,7 +105,7 @@ impl<E: Engine> Driver<E> {
         match self.engine.read(stream, expected + 1).await? {
             Some(found) if found.content == *message => Ok(InStream::Mine),
             Some(_) => Ok(InStream::Other),
-            // Purged, or forgotten since.
+            // The message was purged, or was forgotten meanwhile.
             None => Ok(InStream::Nothing),
         }
     }

@@ -1,12 +1,12 @@
-//! What a replica needs to know, and what is asked of it.
+//! The settings of a replica, and the orders that it receives.
 //!
-//! Invariant: settings do not change while a replica runs.
+//! Invariant: the settings do not change while a replica runs.
 
 use std::time::Duration;
 
 use tokio::sync::oneshot;
 
-/// What a replica needs to know.
+/// The settings of a replica.
 #[derive(Clone, Debug)]
 pub struct ReplicaSettings {
     /// Number of the map in the cluster.
@@ -17,19 +17,19 @@ pub struct ReplicaSettings {
     pub member: String,
     /// Version of this daemon.
     pub version: String,
-    /// Number of the maths of its updates.
+    /// Version number of the maths of this daemon's updates.
     pub maths: u32,
-    /// Servers of the engine that hold the stream, where it has to be made again.
+    /// Number of servers of the engine that hold the stream, where it has to be created again.
     pub engine_replicas: usize,
-    /// How long a lease lasts without renewal.
+    /// Duration of a lease without renewal.
     pub lease: Duration,
-    /// How long a new writer waits for a daemon that says that its log is longer.
+    /// Time for which a new writer waits for a daemon whose report shows a longer log.
     pub heal_wait: Duration,
-    /// Bytes of a group.
+    /// Limit of a group in bytes.
     pub group_bytes: usize,
-    /// How long one append may take before it is sent again.
+    /// Time limit of one append before it is sent again.
     pub patience: Duration,
-    /// Whether the disk is worked on by the thread of the replica itself, for a simulation.
+    /// Whether the thread of the replica does the disk work itself, for a simulation.
     pub disk_inline: bool,
     /// A defect that a test must catch.
     #[cfg(test)]
@@ -40,7 +40,7 @@ pub struct ReplicaSettings {
 #[cfg(test)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Planted {
-    /// None.
+    /// No defect.
     #[default]
     Nothing,
     /// A group is acknowledged that is not durable on the writer's own disk.
@@ -57,10 +57,10 @@ impl ReplicaSettings {
     }
 }
 
-/// What is asked of a replica.
+/// An order to a replica.
 pub(super) enum Order {
-    /// To give the log to another daemon, if it writes it.
+    /// Hand the log over to another daemon, if this one writes it.
     HandOver(Option<String>, oneshot::Sender<bool>),
-    /// To end, in order.
+    /// End in order.
     Stop,
 }

@@ -1,7 +1,7 @@
 //! The log of a map that daemons share, as the thread of the map uses it: appends wait here for the replica, which
 //! writes them to this disk and to the engine.
 //!
-//! Invariant: appends are accepted only while the replica writes the log, and each accepted one is answered once, in
+//! Invariant: appends are accepted only while the replica writes the log, and each accepted one is completed once, in
 //! order: with `Ok` when it is on the engine's quorum and on this disk.
 
 use std::{
@@ -26,11 +26,11 @@ const QUEUE_RECORDS_MAX: usize = 65_536;
 struct AppendQueue {
     events: VecDeque<QueuedEvent>,
     bytes: usize,
-    /// Why nothing is accepted.
+    /// The reason why no append is accepted.
     refusal: Option<AppendError>,
 }
 
-/// What the handles of a shared log and its replica have in common.
+/// The state that the handles of a shared log and its replica share.
 pub(super) struct LogState {
     pub(crate) log: GroupLog,
     queue: Mutex<AppendQueue>,
@@ -38,7 +38,7 @@ pub(super) struct LogState {
     /// Wakes the replica.
     pub(crate) has_work: Notify,
     pub(crate) status: watch::Sender<ReplicaStatus>,
-    /// Until when no other daemon may write, by this daemon's clock.
+    /// The time until which no other daemon may write, by this daemon's clock.
     current_until: Mutex<Option<Instant>>,
 }
 
@@ -75,7 +75,7 @@ impl LogState {
         self.queue().refusal = None;
     }
 
-    /// Refuses appends from now on, and those that wait.
+    /// Refuses appends from now on, and the waiting ones.
     pub(crate) fn close(&self, error: &AppendError) {
         let mut queue = self.queue();
         queue.refusal = Some(error.clone());
@@ -88,7 +88,7 @@ impl LogState {
         }
     }
 
-    /// The events of the next group: as many as wait and fit, one at least.
+    /// The events of the next group: as many of the waiting ones as fit, but at least one.
     pub(crate) fn take(&self, bytes_max: usize) -> Vec<QueuedEvent> {
         let mut queue = self.queue();
         let (mut events, mut bytes) = (Vec::new(), 0);
@@ -113,7 +113,7 @@ pub struct SharedLog {
 }
 
 impl SharedLog {
-    /// What the replica says of itself.
+    /// The status of the replica.
     #[must_use]
     pub fn status(&self) -> watch::Receiver<ReplicaStatus> {
         self.shared.status.subscribe()

@@ -1,8 +1,8 @@
-//! Shortening a shared log: the writer removes from the stream what the checkpoints of other daemons cover.
+//! Shortens a shared log: the writer removes from the stream the messages that the checkpoints of other daemons cover.
 //!
-//! Invariant: only messages are removed whose records are all covered, and what is left begins with the first part of
-//! a group that follows the groups before it. So a daemon that reads the stream from its first message takes no void
-//! message for a beginning.
+//! Invariant: a message is removed only if all its records are covered. The rest begins with the first part of a group
+//! that follows the groups before it. So a daemon that reads the stream from its first message never takes a void
+//! message for the beginning.
 
 use super::compare::Scan;
 use crate::{
@@ -10,12 +10,12 @@ use crate::{
     message::GroupPart,
 };
 
-/// Messages before the cut that are looked at to find a group that is not void, and that stay if none is found.
+/// Number of messages before the cut that are read to find a group that is not void. They stay if none is found.
 const WINDOW: u64 = if cfg!(test) { 8 } else { 256 };
-/// Messages whose lengths are looked at to judge those of all.
+/// Number of messages whose lengths are read to estimate those of all.
 const SAMPLES: u64 = 16;
 
-/// What may be removed from a stream.
+/// The part of a stream that may be removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shortening {
     /// Number of the map in the cluster.
@@ -24,12 +24,12 @@ pub struct Shortening {
     pub stream: String,
     /// The last record that checkpoints cover.
     pub covered: u64,
-    /// Bytes that the stream keeps, about.
+    /// Bytes that the stream keeps, approximately.
     pub keep_bytes: u64,
 }
 
-/// Removes messages from the beginning of a stream; gives how many. It removes less than it may where that is not sure
-/// to be right, so that it can be asked again until it gives 0.
+/// Removes messages from the beginning of a stream; returns how many. It removes less than allowed where it is not
+/// certain, so it can be called again until it returns 0.
 ///
 /// # Errors
 /// [`EngineError`].
@@ -76,7 +76,7 @@ impl<E: Engine> StreamReader<'_, E> {
         Ok(None)
     }
 
-    /// The first message with a record behind a position; the one behind the last where there is none.
+    /// The first message with a record behind a position; the number after `last` where there is none.
     async fn first_behind(&self, position: u64, (first, last): (u64, u64)) -> Result<u64, EngineError> {
         let (mut low, mut high) = (first, last + 1);
         while low < high {
@@ -98,7 +98,7 @@ impl<E: Engine> StreamReader<'_, E> {
         Ok(greatest)
     }
 
-    /// The first message of a group before `end` that is not void; `first` where none is sure to be.
+    /// The first message of a group before `end` that is not void; `first` where none is certain.
     async fn group_before(&self, end: u64, first: u64) -> Result<u64, EngineError> {
         let (mut scan, mut groups) = (Scan::default(), 0);
         let mut next = end.saturating_sub(WINDOW).max(first);
@@ -109,7 +109,7 @@ impl<E: Engine> StreamReader<'_, E> {
             scan.take(next, part);
             next += 1;
         }
-        // The window may have begun with a void message: what follows it would not be taken.
+        // The window may have begun with a void message: the messages that follow it would not be accepted.
         let is_sure = scan.marks.len() > 1 && scan.marks.len() * 2 > groups;
         Ok(scan.marks.last().filter(|_| is_sure).map_or(first, |mark| mark.first))
     }
@@ -187,7 +187,7 @@ mod tests {
     async fn a_void_message_does_not_become_the_first() {
         let engine = stream().await;
         let group = |before, after| RecordGroup { before: point(before), after: point(after), frames: vec![1; 40] };
-        // An old writer has appended behind a number that was given again; then the log has gone on.
+        // An old writer has appended behind a number that was used again; then the log has gone on.
         append(&engine, 100, encode(&group(150, 152), 5, 1).remove(0)).await;
         append(&engine, 101, encode(&group(200, 202), 5, 2).remove(0)).await;
         append(&engine, 102, Bytes::from_static(b"hello")).await;

@@ -1,8 +1,8 @@
-//! Becoming the writer: the lease, the rest of the log, the records that the stream has forgotten, and the record of
-//! the epoch, from which on no other writer's append succeeds.
+//! Makes this daemon the writer. It takes the lease, reads the rest of the log, appends the records that the stream has
+//! forgotten, and appends the record of the epoch. From that record on, no other writer's append succeeds.
 //!
-//! Invariant: a writer has everything that the stream has, and everything that another daemon says it has, unless that
-//! daemon stayed away for the time of healing.
+//! Invariant: a writer has everything that the stream has, and everything that another daemon reports to have, unless
+//! that daemon stayed away for the time of healing.
 
 use std::{sync::Arc, time::Duration};
 
@@ -24,14 +24,14 @@ use crate::{
     message::encode,
 };
 
-/// Pause before something is tried again.
+/// Pause before a step is tried again.
 const PAUSE: Duration = Duration::from_millis(50);
 
 impl<E: Engine> Driver<E> {
     /// Takes the lease, whose revision is known, and then the log.
     pub(super) async fn take_over(&mut self, revision: u64) -> Next {
         self.role(ReplicaRole::TakingOver);
-        // The lease claims the epoch before the log says it, so that no other daemon claims it too.
+        // The lease claims the epoch before the log records it, so that no other daemon claims it too.
         let epoch = self.lease_watch.lease().map_or(0, |(_, lease)| lease.epoch).max(self.epoch) + 1;
         let lease = Lease { writer: self.settings.member.clone(), epoch, ..Lease::default() };
         let key = self.settings.key();
@@ -42,7 +42,7 @@ impl<E: Engine> Driver<E> {
             Ok(revision) => revision,
             Err(SetError::NotExpected) => return Next::Align,
             Err(SetError::Engine(error)) => {
-                // Whether it was taken is seen when it is looked at again.
+                // The next read of the lease shows whether it was taken.
                 self.trouble(Some(error.to_string()));
                 return Next::Align;
             }
@@ -58,7 +58,7 @@ impl<E: Engine> Driver<E> {
             }
             match self.try_to_take_over(&keeper, begun).await {
                 Ok(None) => sleep(PAUSE).await,
-                // The next writer may be one that can.
+                // The next writer may be a daemon that can.
                 Ok(Some(next @ (Next::Forked(_) | Next::Align | Next::Stop))) => {
                     keeper.give_back(&self.engine, None).await;
                     return next;
@@ -79,7 +79,7 @@ impl<E: Engine> Driver<E> {
         Next::Align
     }
 
-    /// One attempt; `None`: again.
+    /// One attempt; `None`: try again.
     async fn try_to_take_over(&mut self, keeper: &LeaseKeeper, begun: Instant) -> Result<Option<Next>, CompareError> {
         match self.relation(LOOK_BACK_FOLLOWING).await? {
             Relation::Holds { last_sequence, .. } => {
@@ -95,7 +95,7 @@ impl<E: Engine> Driver<E> {
                 }
                 self.last_sequence = last_sequence;
                 self.heal(end).await?;
-                // What is there now is compared again.
+                // Compare the current content of the stream again.
                 return Ok(None);
             }
             Relation::Forked { common } => return Ok(Some(Next::Forked(common))),
@@ -112,7 +112,7 @@ impl<E: Engine> Driver<E> {
         self.append_epoch(keeper).await
     }
 
-    /// Reads the log to its end; gives whether the end was reached.
+    /// Reads the log to its end; returns whether the end was reached.
     async fn catch_up(&mut self) -> Result<bool, CompareError> {
         let last = self.engine.ends(&self.settings.stream).await?.last;
         while self.last_sequence < last && !self.is_stopping() {
@@ -122,11 +122,11 @@ impl<E: Engine> Driver<E> {
                 return Ok(false);
             }
         }
-        // A group that was never completed stays in the stream, behind everything that this daemon has.
+        // A group that was never completed stays in the stream, behind the log of this daemon.
         Ok(self.last_sequence == last)
     }
 
-    /// Whether no other daemon says that its log is longer than this one's, or none has come for long enough.
+    /// Whether no other daemon reports a longer log than this one's, or none has come for long enough.
     async fn may_heal(&self, begun: Instant) -> Result<bool, EngineError> {
         if begun.elapsed() >= self.settings.heal_wait {
             return Ok(true);
@@ -140,11 +140,11 @@ impl<E: Engine> Driver<E> {
         Ok(!reports.into_iter().any(is_longer))
     }
 
-    /// Appends again what the stream has forgotten: everything behind its end, from this daemon's own log.
+    /// Appends again the records that the stream has forgotten: all records behind its end, from this daemon's own log.
     async fn heal(&mut self, end: LogPoint) -> Result<(), CompareError> {
         let log = self.shared.log.clone();
         let open = move || {
-            // A stream that holds nothing may begin with any record: checkpoints have what is before.
+            // An empty stream may begin with any record: checkpoints contain the records before it.
             let first = if end == LogPoint::BEGINNING { log.first_position()? } else { end.position + 1 };
             log.groups(first)
         };
@@ -158,7 +158,7 @@ impl<E: Engine> Driver<E> {
             groups = rest;
             let Some(group) = group.transpose()? else { return Ok(()) };
             if group.before.position < end.position {
-                // The forgotten part began within a group of this log: that cannot be, because a group is appended
+                // The forgotten part begins within a group of this log. This cannot happen, because a group is appended
                 // whole.
                 return Ok(());
             }
@@ -176,11 +176,11 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// Whether all who read the stream find the end of the own log in it.
+    /// Whether all daemons that read the stream find the end of the own log in it.
     async fn is_in_log(&mut self, keeper: &LeaseKeeper) -> bool {
         while !self.is_stopping() && !keeper.is_lost() {
             match self.relation(LOOK_BACK_FOLLOWING).await {
-                // What comes behind it is of the next writer.
+                // The records behind it are of the next writer.
                 Ok(relation) => return matches!(relation, Relation::Holds { has_more: false, .. }),
                 Err(error) => self.trouble(Some(error.to_string())),
             }
@@ -193,7 +193,7 @@ impl<E: Engine> Driver<E> {
     async fn append_epoch(&mut self, keeper: &LeaseKeeper) -> Result<Option<Next>, CompareError> {
         let epoch = keeper.epoch();
         if epoch <= self.epoch {
-            // Another daemon has written in the epoch that this one has claimed: it has the lease.
+            // Another daemon has written in the epoch that this one has claimed: that daemon has the lease.
             return Ok(Some(Next::Align));
         }
         let event = Event::Epoch(Epoch {
@@ -236,8 +236,8 @@ impl<E: Engine> Driver<E> {
         self.epoch = epoch;
         self.heard_of(records.after.position, Instant::now());
         self.tell_followed(vec![(records.after.position, event)]).await;
-        // An engine that forgets may have had another message under the number that was expected. Then the epoch is
-        // void for all who read the log, and so would be what follows.
+        // An engine that forgets may have had another message under the expected number. Then the epoch is void for all
+        // daemons that read the log, and so are all records after it.
         if !self.is_in_log(keeper).await {
             return Ok(Some(Next::Align));
         }

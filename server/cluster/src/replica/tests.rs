@@ -1,8 +1,8 @@
 //! Three daemons on a simulated engine, clock and disk, with faults by seed.
 //!
-//! What must hold: what was acknowledged is in the log, no sequence number of a producer twice, one writer an epoch,
-//! and equal logs. `TIDEMAP_CLUSTER_SEEDS` is how many seeds are tried, `TIDEMAP_CLUSTER_SEED` tries one and tells
-//! more.
+//! These must hold: acknowledged records are in the log, no sequence number of a producer occurs twice, an epoch has
+//! one writer, and the logs are equal. `TIDEMAP_CLUSTER_SEEDS` is the number of seeds, `TIDEMAP_CLUSTER_SEED` tries one
+//! seed and prints more.
 
 use std::{
     collections::BTreeMap,
@@ -41,15 +41,15 @@ const PRODUCERS: usize = 3;
 /// Seeds of the short form. `make durability` tries thousands.
 const SEEDS: u64 = 600;
 
-/// What daemons and producers have seen.
+/// The events that daemons and producers have seen.
 #[derive(Default)]
 struct Seen {
-    /// By epoch: who wrote in it.
+    /// By epoch: its writer.
     writers: BTreeMap<u64, String>,
     /// By producer: the highest number that was acknowledged.
     acknowledged: BTreeMap<String, u64>,
     violations: Vec<String>,
-    /// By epoch: the position from which on it was written.
+    /// By epoch: the position at which it begins.
     begins: BTreeMap<u64, u64>,
 }
 
@@ -82,16 +82,16 @@ struct Machine {
     forks: Vec<Fork>,
     /// Logs that were replaced by copies and that had records which the copies did not have.
     replaced: usize,
-    /// When it starts again.
+    /// Time of the next start of the daemon.
     starts: Option<Instant>,
 }
 
-/// How a run is made.
+/// The mode of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     /// Faults that a quorum survives: nothing may be lost and nothing may fork.
     Survivable,
-    /// The engine may forget and fork: what was acknowledged is in the log, or in a fork that is named.
+    /// The engine may forget and fork: an acknowledged record is in the log, or in a fork that is reported.
     Forgetful,
 }
 
@@ -101,7 +101,8 @@ struct World {
     seen: Arc<Mutex<Seen>>,
     random: SmallRng,
     planted: Planted,
-    /// Whether a writer may welcome producers that does not know yet that another one writes: leases keep it from that.
+    /// Whether a writer may welcome producers while another daemon writes and it has not noticed this yet: leases
+    /// prevent that.
     welcomes_late: bool,
 }
 
@@ -155,7 +156,7 @@ impl World {
         machine.starts = Some(Instant::now() + away);
     }
 
-    /// Sets forks aside, and starts what is due.
+    /// Sets forks aside, and starts the daemons that are due.
     async fn look_after(&mut self) {
         for index in 0..self.machines.len() {
             let machine = &mut self.machines[index];
@@ -196,14 +197,14 @@ impl World {
             copy.check(total)?;
             copy.install()
         };
-        // A disk that is full takes none: it is tried again.
+        // A full disk cannot take a copy: it is tried again.
         let _ = take();
         drop(daemon);
         machine.disk = machine.disk.kill();
         self.start(index);
     }
 
-    /// Shortens the stream to what two daemons have, as the writer does.
+    /// Removes from the stream the records that two daemons have, as the writer does.
     async fn shorten(&self) {
         let daemons = self.machines.iter().filter_map(|machine| Some((machine.name.clone(), machine.daemon.as_ref()?)));
         let mut ends: Vec<u64> = daemons.clone().map(|(_, daemon)| daemon.end().position).collect();
@@ -212,7 +213,7 @@ impl World {
         let Some((name, _)) = daemons.clone().find(|(_, daemon)| is_writing(daemon)) else { return };
         let Some(&covered) = ends.iter().rev().nth(1) else { return };
         let shortening = Shortening { map: UID, stream: "tm".to_owned(), covered, keep_bytes: 0 };
-        // An engine that does not answer is asked again later.
+        // An engine that does not reply is called again later.
         let _ = shorten(&self.engine.client(&name), &shortening).await;
     }
 
@@ -223,7 +224,7 @@ impl World {
             0 | 1 => self.kill(index, false).await,
             2 => self.kill(index, true).await,
             3 => {
-                // As SIGSTOP does to the calls of the daemon; its tasks go on.
+                // Stops the calls of the daemon, as SIGSTOP does; its tasks go on.
                 self.engine.freeze(&name);
                 sleep(Duration::from_millis(self.random.random_range(100..6000))).await;
                 self.engine.thaw(&name);
@@ -246,7 +247,7 @@ impl World {
                 disk.set_fault(None);
             }
             7 => {
-                // Somebody publishes what is no record.
+                // A stranger publishes a message that is not a record.
                 let client = self.engine.client("stranger");
                 if let Ok(ends) = client.ends("tm").await {
                     let content = Bytes::from_static(b"hello");
@@ -289,7 +290,7 @@ impl World {
         Ok(())
     }
 
-    /// What a daemon answers a producer; `None`: nothing in time, or that it does not write.
+    /// The reply of a daemon to a producer; `None`: there was none in time, or the daemon does not write.
     async fn ask(&self, index: usize, ask: impl FnOnce(oneshot::Sender<Option<u64>>) -> Ask) -> Option<u64> {
         let daemon = self.machines[index].daemon.as_ref()?;
         let (reply, answer) = oneshot::channel();
@@ -311,7 +312,7 @@ impl World {
         let Some(durable) = self.ask(index, |reply| Ask::Welcome(welcome, reply)).await else { return };
         let known = self.seen.lock().expect("sound").acknowledged.get(&name).copied().unwrap_or(0);
         if durable < known && !self.welcomes_late {
-            // With engines that forget, its writer may be away with the records.
+            // With engines that forget, the writer of this epoch may be gone, and its records with it.
             self.seen
                 .lock()
                 .expect("sound")
@@ -332,7 +333,7 @@ impl World {
     }
 }
 
-/// One run of faults, and what is there when they have ended.
+/// One run with faults; returns the log after they have ended.
 async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -> Result<String, String> {
     let mut world = World::new(seed, mode);
     world.planted = planted;
@@ -397,7 +398,7 @@ fn check(world: &World, mode: Mode) -> Result<String, String> {
     if logs.iter().any(|log| *log != logs[0]) {
         return Err("the logs differ".to_owned());
     }
-    // In the log, each producer's numbers follow each other.
+    // In the log, the numbers of each producer are consecutive.
     let (mut ends, mut names, mut epoch) = (BTreeMap::new(), BTreeMap::new(), 0);
     for (position, event) in &logs[0] {
         match event {
@@ -462,7 +463,7 @@ fn simulate(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) ->
     runtime.block_on(run(seed, mode, planted, defects))
 }
 
-/// How many seeds are tried, and which.
+/// The seeds to try.
 fn seeds(default: u64) -> Vec<u64> {
     let number = |name| std::env::var(name).ok().and_then(|text: String| text.parse().ok());
     match number("TIDEMAP_CLUSTER_SEED") {
@@ -496,7 +497,7 @@ fn what_the_engine_forgets_is_appended_again_or_set_aside() {
     try_seeds(Mode::Forgetful, SEEDS);
 }
 
-/// The first of so many seeds that shows a defect.
+/// Tries seeds until one shows a defect.
 #[track_caller]
 fn catch(mode: Mode, planted: Planted, defects: PlantedDefects) {
     let caught = (1..=200).find_map(|seed| {

@@ -1,4 +1,4 @@
-//! Writing the shared log: one group at a time, to this disk and to the engine together.
+//! Writes the shared log: one group at a time, to this disk and to the engine together.
 //!
 //! Invariant: a group is acknowledged when both have it. A group whose fate is not known ends this daemon's writing.
 
@@ -24,10 +24,10 @@ use crate::{
     message::encode,
 };
 
-/// Who is to write next, and who waits for it.
+/// The next writer, and the channel of the caller that waits for the hand-over.
 type HandOver = (Option<String>, oneshot::Sender<bool>);
 
-/// How long a lease is given back at most.
+/// Time limit for giving a lease back.
 const GIVE_BACK: Duration = Duration::from_secs(1);
 
 impl<E: Engine> Driver<E> {
@@ -65,7 +65,7 @@ impl<E: Engine> Driver<E> {
             match self.next_order() {
                 Some(Order::HandOver(_, done)) if successor.is_some() => drop(done.send(false)),
                 Some(Order::HandOver(to, done)) => {
-                    // Writing goes on until the successor looks at the lease often.
+                    // Writing goes on until the successor reads the lease often.
                     let mut until = Instant::now();
                     if let Some(to) = &to {
                         keeper.announce(to);
@@ -89,7 +89,7 @@ impl<E: Engine> Driver<E> {
             let log = self.shared.log.clone();
             let next = match self.on_disk(move || log.write(events)).await {
                 Ok(written) => self.commit(written).await,
-                // They wait for what the map's thread undoes, or nothing was left to write.
+                // The appends wait for the undo of the map's thread, or nothing was left to write.
                 Err(AppendError::AfterFailure) => None,
                 Err(error) => {
                     self.trouble(Some(format!("another daemon takes this one's place: {error}")));
@@ -103,7 +103,7 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// Makes a written group part of the shared log, or takes it back; gives what follows where writing ends.
+    /// Makes a written group part of the shared log, or takes it back; returns the next step where writing ends.
     async fn commit(&mut self, written: WrittenGroup) -> Option<Next> {
         let messages = encode(written.records(), self.settings.map, self.epoch);
         let end = written.records().after.position;
@@ -119,10 +119,10 @@ impl<E: Engine> Driver<E> {
         let (sent, (written, synced)) = if self.settings.disk_inline {
             (self.send(&messages).await, sync())
         } else {
-            // Both begin together.
+            // Both begin at the same time.
             let syncing = tokio::task::spawn_blocking(sync);
             let sent = self.send(&messages).await;
-            // The runtime ends, or the disk panicked: the completions are lost with the group.
+            // The runtime ends, or the disk task panicked: the completions are lost with the group.
             let Ok(both) = syncing.await else { return Some(Next::Stop) };
             (sent, both)
         };
@@ -130,7 +130,7 @@ impl<E: Engine> Driver<E> {
             (Err(error), _) => Err(error),
             (Ok(()), Sent::Done) => Ok(()),
             (Ok(()), Sent::Full(reason)) => Err(AppendError::StreamFull(reason.clone())),
-            // Whether the stream has a group that was given up is not known: it is not acknowledged.
+            // It is not known whether the stream has the group that was given up, so the group is not acknowledged.
             (Ok(()), Sent::Deposed | Sent::Forgotten | Sent::Stopped) => Err(AppendError::NotWriter { writer: None }),
         };
         let is_fatal = matches!(outcome, Err(AppendError::Poisoned { .. }));
@@ -148,7 +148,7 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// Waits for something to do, until it `leaves` at most; gives what follows where this daemon stops writing.
+    /// Waits for work, at most until `leaves`; returns the next step where this daemon stops writing.
     async fn wait_for_work(&mut self, keeper: &LeaseKeeper, leaves: Option<Instant>) -> Option<Next> {
         let left = leaves.map(|leaves| leaves.saturating_duration_since(Instant::now()));
         tokio::select! {
@@ -164,7 +164,7 @@ impl<E: Engine> Driver<E> {
         }
         match self.probe().await {
             Ok(StreamEnd::Own) => None,
-            // Forgotten, or somebody else has appended.
+            // The stream has forgotten messages, or somebody else has appended.
             Ok(StreamEnd::More | StreamEnd::Lost) | Err(CompareError::Engine(EngineError::Missing(_))) => {
                 Some(Next::Align)
             }

@@ -1,6 +1,6 @@
-//! What may go wrong between a client and the simulated engine, and in it: how often, and for how long.
+//! The faults between a client and the simulated engine, and in the engine: how often they occur, and for how long.
 //!
-//! Invariant: a fault is drawn from the generator of the world alone, so that a seed fixes all of them.
+//! Invariant: faults are drawn from the generator of the world alone, so that a seed fixes all of them.
 
 use std::{ops::RangeInclusive, time::Duration};
 
@@ -21,10 +21,10 @@ pub enum EngineFault {
     CutOff,
     /// A stream has no room for a while.
     Full,
-    /// A stream forgets its last messages, and gives their numbers again.
+    /// A stream forgets its last messages, and uses their numbers again.
     Amnesia,
-    /// For a while the client of a call has a stream of its own, which acknowledges and is then forgotten; the others
-    /// go on with theirs.
+    /// For a while the client of a call has a stream of its own, which acknowledges and is then forgotten; the other
+    /// clients go on with the common stream.
     Split,
     /// A server stops for a while. The streams that it leads have no leader until one is elected.
     ServerStopped,
@@ -45,23 +45,24 @@ impl EngineFault {
     ];
 }
 
-/// How often faults occur, as probabilities of a call, and how long they last.
+/// The frequency of faults, as probabilities of a call, and their duration.
 #[derive(Clone, Debug)]
 pub struct EngineFaults {
-    /// How long a request is under way, and again its reply. A wide range lets concurrent calls overtake each other.
+    /// Time for which a request is under way, and also its reply. A wide range lets concurrent calls overtake each
+    /// other.
     pub delay: RangeInclusive<Duration>,
     /// Faults that are drawn at each call, with their probabilities.
     pub chances: Vec<(EngineFault, f64)>,
-    /// How long a cut, a full stream, a split or a stopped server lasts.
+    /// Duration of a cut, a full stream, a split or a stopped server.
     pub lasts: RangeInclusive<Duration>,
-    /// How long an election takes.
+    /// Duration of an election.
     pub election: RangeInclusive<Duration>,
-    /// How many messages amnesia takes.
+    /// Number of messages that amnesia removes.
     pub forgets: RangeInclusive<u64>,
 }
 
 impl EngineFaults {
-    /// No faults, and delays as in a rack.
+    /// No faults, and the delays of a rack.
     pub fn none() -> Self {
         Self {
             delay: Duration::from_micros(200)..=Duration::from_millis(4),
@@ -72,7 +73,7 @@ impl EngineFaults {
         }
     }
 
-    /// Faults that a quorum survives: nothing that was acknowledged is lost.
+    /// Faults that a quorum survives: no acknowledged message is lost.
     pub fn survivable() -> Self {
         let chances = vec![
             (EngineFault::RequestLost, 0.02),

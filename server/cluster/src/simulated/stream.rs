@@ -1,9 +1,9 @@
-//! A stream of the simulated engine: what it holds, which server leads it, and how far the others are.
+//! A stream of the simulated engine: its content, its leader, and the last number on each server.
 //!
-//! Three servers hold it. The leader and one follower have all messages; the other may lag. So two of three servers
-//! always include one that has all.
+//! Three servers hold the stream. The leader and one follower have all messages; the other may lag. So two of three
+//! servers always include one that has all.
 //!
-//! Invariant: the last number never falls but by amnesia and at the end of a split.
+//! Invariant: the last number never falls, except by amnesia and at the end of a split.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,7 @@ use crate::engine::{Message, StreamEnds};
 /// Servers of the simulated engine.
 pub(super) const SERVERS: usize = 3;
 
-/// What a stream holds at one number: a message, or a write of a key.
+/// The content of a stream at one number: a message, or a write of a key.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     /// The key of a bucket; empty in a stream.
@@ -40,7 +40,7 @@ impl Numbered {
         self.first + self.kept.len() as u64 - 1
     }
 
-    /// The ends as a server knows them that has the messages up to `held`.
+    /// The ends of the stream on a server that has the messages up to `held`.
     pub(super) fn ends(&self, held: u64) -> StreamEnds {
         let last = self.last().min(held);
         let content = self.get(last).and_then(|kept| kept.content.as_ref());
@@ -100,14 +100,14 @@ pub(super) struct SplitSide {
 /// A stream with its state.
 pub(super) struct SimulatedStream {
     pub(super) numbered: Numbered,
-    /// Servers that are to hold it, as its creator asked.
+    /// Number of servers that hold the stream, as its creator requested.
     pub(super) replicas: usize,
     pub(super) leader: usize,
-    /// The last number that each server has.
+    /// The last number on each server.
     pub(super) held: [u64; SERVERS],
     pub(super) leaderless_until: Instant,
     pub(super) full_until: Option<Instant>,
-    /// When the last message came.
+    /// Time of the last message.
     pub(super) pushed: Option<Instant>,
     pub(super) side: Option<SplitSide>,
 }
@@ -139,7 +139,7 @@ impl SimulatedStream {
         self.side.as_ref().is_some_and(|side| side.client == client)
     }
 
-    /// Sends what the servers that run lack; the laggard stays `lag` messages behind.
+    /// Replicates the messages that the running servers lack; the server that lags stays `lag` messages behind.
     pub(super) fn replicate(&mut self, runs: &[bool; SERVERS], lag: u64) {
         let last = self.numbered.last();
         let all_run = runs.iter().all(|&runs| runs);
@@ -156,7 +156,7 @@ impl SimulatedStream {
         self.held.iter_mut().for_each(|held| *held = (*held).min(last));
     }
 
-    /// The last number that the server has that is the furthest behind among those that run.
+    /// The last number on the running server that is the furthest behind.
     pub(super) fn stale_last(&self, runs: &[bool; SERVERS]) -> u64 {
         (0..SERVERS).filter(|&server| runs[server]).map(|server| self.held[server]).min().unwrap_or_default()
     }

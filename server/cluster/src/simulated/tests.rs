@@ -1,4 +1,4 @@
-//! The simulated engine keeps the promises of an engine, is the same for a seed, and has every fault.
+//! The simulated engine keeps the promises of an engine, gives the same result for the same seed, and has every fault.
 //!
 //! Invariant: runs under tokio's paused clock.
 
@@ -45,7 +45,7 @@ async fn an_engine_without_a_fence_does_not_pass_the_suite() {
     assert!(suite.await.is_err_and(|error| error.is_panic()));
 }
 
-/// Three clients that append for a while, each after what it knows, as a writer does.
+/// Three clients that append for a while, each after the last message that it has seen, as a writer does.
 async fn busy(seed: u64, faults: EngineFaults) -> Simulation {
     let simulation = Simulation::new(seed, faults);
     let mut writers = tokio::task::JoinSet::new();
@@ -137,7 +137,7 @@ async fn without_a_leader_or_a_quorum_nothing_is_done() {
     assert_eq!(first.health(STREAM).await.expect("health").leader, None);
     sleep(Duration::from_secs(5)).await;
     assert_eq!(append(&first, 0, "a").await, Ok(1));
-    // Every single server may stop, and every two of them must not.
+    // A single server may stop, but two of them must not.
     for server in 0..3 {
         simulation.stop_server(server);
         sleep(Duration::from_secs(10)).await;

@@ -1,7 +1,8 @@
-//! The world of the simulated engine: its servers, streams and clients, the faults that are on, and what an oracle
-//! may see.
+//! The world of the simulated engine: its servers, streams and clients, the current faults, and the data that an oracle
+//! may read.
 //!
-//! Invariant: changes only under its lock, by the call of a client at a time of tokio's clock; it waits for nothing.
+//! Invariant: the world changes only under its lock, by the call of a client at a time of tokio's clock; it waits for
+//! nothing.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -18,7 +19,7 @@ use super::{
 };
 use crate::engine::{EngineError, Message};
 
-/// Messages that come within this time come together, for a stream that then takes two.
+/// Messages that arrive within this time count as simultaneous, for the defect where a stream accepts two of them.
 const TOGETHER: Duration = Duration::from_millis(50);
 
 /// A message that a client has appended.
@@ -28,7 +29,7 @@ pub struct Acknowledged {
     pub stream: String,
     /// The message, with the number that the engine gave it.
     pub message: Message,
-    /// The client that was told so.
+    /// The client to which the message was acknowledged.
     pub client: String,
     /// Time since the beginning of the simulation.
     pub at: Duration,
@@ -37,21 +38,21 @@ pub struct Acknowledged {
 /// Defects that a test plants, which its checks must find.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PlantedDefects {
-    /// The expected number of an append, and the expected revision of a key, are not looked at.
+    /// The expected number of an append, and the expected revision of a key, are not checked.
     pub ignore_expected: bool,
     /// The ends of a stream and its messages come from a server that lags.
     pub stale_reads: bool,
-    /// A stream takes two messages after the one that both expect, if they come together.
+    /// A stream accepts two messages after the one that both expect, if they arrive at the same time.
     pub two_at_one_position: bool,
-    /// A lease looks as if nobody renewed it, and everybody may take it.
+    /// A lease seems not to be renewed, and every daemon may take it.
     pub useless_leases: bool,
 }
 
-/// What happens to a request and its reply.
+/// The way of a request and its reply.
 pub(super) struct UnderWay {
-    /// How long the request is under way; `None`: it never arrives.
+    /// Time for which the request is under way; `None`: it never arrives.
     pub(super) out: Option<Duration>,
-    /// How long the reply is under way; `None`: it never arrives.
+    /// Time for which the reply is under way; `None`: it never arrives.
     pub(super) back: Option<Duration>,
     /// The client notices at once that it has no connection.
     pub(super) is_refused: bool,
@@ -59,7 +60,7 @@ pub(super) struct UnderWay {
 
 #[derive(Default)]
 struct ClientState {
-    /// `None`: until it is joined again.
+    /// Time at which the cut ends; inner `None`: when the client is joined again.
     cut_until: Option<Option<Instant>>,
     is_frozen: bool,
     next: VecDeque<EngineFault>,
@@ -70,7 +71,7 @@ pub(super) struct EngineWorld {
     rng: SmallRng,
     pub(super) faults: EngineFaults,
     pub(super) defects: PlantedDefects,
-    /// Until when each server stands still; `None` within: until it is started again.
+    /// Time until which each server is stopped; inner `None`: until it is started again.
     stopped: [Option<Option<Instant>>; SERVERS],
     pub(super) streams: BTreeMap<String, SimulatedStream>,
     clients: BTreeMap<String, ClientState>,
@@ -141,7 +142,7 @@ impl EngineWorld {
         self.client(name).next.push_back(fault);
     }
 
-    /// Draws what happens to the next call of a client, and lets the faults begin that it meets.
+    /// Draws the outcome of the next call of a client, and starts the faults that it has drawn.
     pub(super) fn passage(&mut self, name: &str, patience: Duration) -> UnderWay {
         let chances = self.faults.chances.clone();
         let drawn: Vec<EngineFault> =
@@ -174,11 +175,11 @@ impl EngineWorld {
         passage
     }
 
-    /// Lets a fault begin that concerns more than one call.
+    /// Starts a fault that affects more than one call.
     fn begin(&mut self, name: &str, fault: EngineFault) {
         let lasts = draw(&mut self.rng, &self.faults.lasts.clone());
         let until = Instant::now() + lasts;
-        // Keys do not go back by chance.
+        // A bucket never goes back by a drawn fault.
         let streams: Vec<String> = self.streams.keys().filter(|stream| !is_bucket(stream)).cloned().collect();
         let stream = (!streams.is_empty()).then(|| streams[self.rng.random_range(0..streams.len())].clone());
         match (fault, stream) {
@@ -241,7 +242,7 @@ impl EngineWorld {
     pub(super) fn fill(&mut self, name: &str, until: Option<Instant>) {
         self.note(&format!("{name} is full"));
         self.count(EngineFault::Full);
-        // A stream that is full until it is emptied is so for a very long time.
+        // A stream that is full until it is emptied gets an end in the far future.
         let until = until.unwrap_or_else(|| Instant::now() + Duration::from_secs(1 << 30));
         if let Some(stream) = self.streams.get_mut(name) {
             stream.full_until = Some(until);
@@ -266,14 +267,14 @@ impl EngineWorld {
         }
     }
 
-    /// Ends a split: what its client has appended since is forgotten.
+    /// Ends a split: the messages that its client has appended since are forgotten.
     pub(super) fn unite(&mut self, name: &str) {
         if self.streams.get_mut(name).is_some_and(|stream| stream.side.take().is_some()) {
             self.note(&format!("{name} is one again"));
         }
     }
 
-    /// A stream that has a leader, as a client's call finds it.
+    /// A stream that has a leader, as the call of a client finds it.
     pub(super) fn led(&mut self, name: &str, client: &str) -> Result<&mut SimulatedStream, EngineError> {
         let now = Instant::now();
         let runs = self.runs();
@@ -290,14 +291,14 @@ impl EngineWorld {
             return Err(EngineError::Unavailable(format!("{name} has no leader")));
         }
         if !runs[stream.leader] {
-            // Two of three include one that has all messages.
+            // Any two of three servers include one that has all messages.
             let longest = (0..SERVERS).filter(|&server| runs[server]).max_by_key(|&server| stream.held[server]);
             stream.leader = longest.unwrap_or_default();
         }
         Ok(stream)
     }
 
-    /// Whether a stream takes a message after the one that its sender expects.
+    /// Whether a stream accepts a message after the one that its sender expects.
     pub(super) fn takes_after(&mut self, name: &str, client: &str, expected: u64) -> Result<bool, EngineError> {
         let defects = self.defects;
         let stream = self.led(name, client)?;

@@ -1,6 +1,6 @@
-//! What people can distinguish in the colours, and that the page has the same.
+//! Checks which colours people can distinguish, and that the page has the same colours.
 //!
-//! Invariant: lightness and distances are those of CIE L*a*b* (D65); kinds of colour vision are simulated.
+//! Invariant: lightness and distances follow CIE L*a*b* (D65); kinds of colour vision are simulated.
 
 use std::{env, fmt::Write as _, fs, path::Path};
 
@@ -8,7 +8,7 @@ use super::*;
 
 type Matrix = [[f64; 3]; 3];
 
-/// How linear light appears with one kind of cone missing, after Machado, Oliveira and Fernandes (2009).
+/// The appearance of linear light with one kind of cone missing, after Machado, Oliveira and Fernandes (2009).
 const SEEN_BY: [(&str, Matrix); 4] = [
     ("normal", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
     (
@@ -25,7 +25,7 @@ const SEEN_BY: [(&str, Matrix); 4] = [
     ),
 ];
 
-/// Linear light to X, Y and Z, each as a share of that of white.
+/// Converts linear light to X, Y and Z, each as a share of that of white.
 const XYZ: Matrix =
     [[0.433_953, 0.376_219, 0.189_828], [0.212_673, 0.715_152, 0.072_175], [0.017_757, 0.109_468, 0.872_775]];
 
@@ -33,7 +33,7 @@ fn times(matrix: &Matrix, vector: [f64; 3]) -> [f64; 3] {
     matrix.map(|row| row.iter().zip(vector).map(|(weight, part)| weight * part).sum())
 }
 
-/// L*, a* and b* of a colour as somebody sees it.
+/// L*, a* and b* of a colour for a viewer.
 fn lab(colour: Colour, seen_by: &Matrix) -> [f64; 3] {
     let linear = colour.map(|band| {
         let share = f64::from(band) / 255.0;
@@ -45,7 +45,7 @@ fn lab(colour: Colour, seen_by: &Matrix) -> [f64; 3] {
     [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
 }
 
-/// The distance of two colours as somebody sees them; 2 can just be distinguished side by side.
+/// The distance of two colours for a viewer; 2 can just be distinguished side by side.
 fn apart(one: Colour, other: Colour, seen_by: &Matrix) -> f64 {
     let (one, other) = (lab(one, seen_by), lab(other, seen_by));
     one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt()
@@ -63,7 +63,7 @@ fn shares() -> impl Iterator<Item = f64> {
 fn a_greater_probability_is_darker() {
     for (name, colour) in [("occupancy", occupancy as fn(f64) -> Colour), ("mark", mark), ("muted", |p| mix(&MUTED, p))]
     {
-        // Steps of an eighth of a percent round to the same bytes where a scale is flat.
+        // Where a scale is flat, steps of an eighth of a percent round to the same bytes.
         let lights: Vec<f64> = (0..=100_u8).map(|step| lightness(colour(f64::from(step) / 100.0))).collect();
         assert!(lights.windows(2).all(|pair| pair[1] < pair[0]), "{name}: {lights:?}");
     }
@@ -89,7 +89,7 @@ fn nobody_takes_an_uncertain_or_changed_cell_for_unknown() {
         for share in shares() {
             let apart = [
                 apart(entropy(bits(share), share), UNKNOWN, seen_by),
-                // A cell that became free or occupied, by at least a fifth.
+                // A cell that became free or occupied, with a change of at least a fifth.
                 apart(difference(-0.2 - 0.8 * share, 0.8 - 0.8 * share), UNKNOWN, seen_by),
                 apart(difference(0.2 + 0.8 * share, 0.2 + 0.8 * share), UNKNOWN, seen_by),
             ];
@@ -138,7 +138,7 @@ fn values_outside_are_clamped() {
     assert_eq!((entropy(7.0, 0.0), difference(-7.0, 0.0), difference(f64::NAN, 0.0)), (UNCERTAIN, FREER, [255; 3]));
 }
 
-/// The source of the palette of the page, with samples by which its painter is compared.
+/// The source code of the page's palette, with samples for a comparison with its painter.
 fn page() -> String {
     let list = |stops: &[Colour]| {
         let rows: String = stops.iter().map(|[r, g, b]| format!("    [{r}, {g}, {b}],\n")).collect();

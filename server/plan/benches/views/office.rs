@@ -1,6 +1,6 @@
 //! A synthetic office of 20 x 12.8 x 2.5 m: rooms along a corridor, furniture, and cells with a daily rhythm.
 //!
-//! Invariant: the same each time.
+//! Invariant: the office is the same each time.
 
 use tidemap_grid::index::CellIndex;
 use tidemap_plan::{predicted::PredictedTimes, view::Sensor, view::Viewpoint};
@@ -12,7 +12,7 @@ pub(crate) const TIMES: usize = 96;
 
 /// The office.
 pub(crate) struct Office {
-    /// Lowest and highest corner of furniture, and whether it changes over the day.
+    /// Lowest and highest corner of each piece of furniture, and whether it changes over the day.
     things: Vec<([i32; 3], [i32; 3], bool)>,
 }
 

@@ -13,7 +13,7 @@ fn expected(features: &[(i32, i32, u16)]) -> Vec<ExpectedLandmark> {
     features.iter().map(|&of_feature| ExpectedLandmark { feature: feature(of_feature), visible: 0.5 }).collect()
 }
 
-/// What [`localise`] says, by the words of the rules.
+/// The result of [`localise`], computed directly from the rules.
 fn plainly(seen: &[(i32, i32, u16)], node: &[(i32, i32, u16)]) -> (u32, u32, u32, Option<f64>) {
     let mut kept: Vec<(f64, u32)> = Vec::new();
     for (u, v, bits) in node {
@@ -76,7 +76,7 @@ proptest! {
     }
 }
 
-/// Ten landmarks that look like nothing else.
+/// Ten landmarks that match nothing else.
 fn ten() -> Vec<(i32, i32, u16)> {
     (0..10).map(|n| (n * 50, 20, 0b11 << n)).collect()
 }
@@ -105,6 +105,6 @@ fn what_cannot_be_compared_or_found_is_said() {
     let found =
         localise(&nothing, &[expected(&ten()), Vec::new()], &MatchRules::default()).expect("nothing to compare");
     assert_eq!(best_node(&found), None);
-    // Nothing was seen where something was expected.
+    // No feature was seen where one was expected.
     assert!(found[0].probability < found[1].probability, "{found:?}");
 }

@@ -19,7 +19,7 @@ fn a_visit_saves_the_guesses_that_would_be_wrong() {
 fn what_was_expected_anyway_is_no_surprise() {
     // If both models agree, the cross entropy is the entropy.
     assert!((surprise_bits([(0.3, 0.3)]) - information_bits([0.3])).abs() < 1e-12);
-    // A model that is certain of the contrary gains most: log2 20 bits.
+    // A model that is certain of the contrary has the largest gain: log2 20 bits.
     assert!((surprise_bits([(1.0, 0.0)]) - 20_f64.log2()).abs() < 1e-9);
     assert!(surprise_bits([(0.0, 0.0)]) < 0.1);
 }
@@ -27,7 +27,7 @@ fn what_was_expected_anyway_is_no_surprise() {
 proptest! {
     #[test]
     fn surprise_is_never_below_what_the_short_term_leaves_open(expected in 0.0..=1.0_f64, informed in 0.05..=0.95_f64) {
-        // Gibbs' inequality.
+        // Checks Gibbs' inequality.
         prop_assert!(surprise_bits([(expected, informed)]) >= information_bits([expected]) - 1e-12);
     }
 

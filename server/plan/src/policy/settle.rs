@@ -3,15 +3,15 @@
 //! The value of each choice is a known part, from later slots, plus a share of the value of one other node in the same
 //! slot. Every edge takes time, so the share is less than 1: the equations are those of a discounted problem, with one
 //! solution. Dijkstra's order of nodes does not solve them, because a later slot may be better than this one, and a
-//! node then better than the one it leads to. So policy iteration (R. A. Howard, "Dynamic Programming and Markov
-//! Processes", 1960): with one choice for each node, each node depends on one other, and the values follow along chains
-//! and around cycles in closed form; then each node takes its best choice. Invariant: the values of a policy are exact
-//! up to rounding, and each policy is better than the one before, so the iteration ends.
+//! node then better than the node to which it leads. So policy iteration is used (R. A. Howard, "Dynamic Programming
+//! and Markov Processes", 1960): with one choice for each node, each node depends on one other, and the values follow
+//! along chains and around cycles in closed form; then each node takes its best choice. Invariant: the values of a
+//! policy are exact up to rounding, and each policy is better than the one before, so the iteration ends.
 
 /// A choice at a node in a slot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SlotChoice {
-    /// The known part of its value, by objective part; less is better.
+    /// The known part of the choice's value, by objective part; less is better.
     pub known: [f64; 3],
     /// 1 minus the share of the value of `to` in this slot; above 0, at most 1.
     pub leak: f64,
@@ -22,12 +22,12 @@ pub(super) struct SlotChoice {
 
 /// Smaller relative improvements are rounding errors.
 const ROUNDING: f64 = 1e-14;
-/// Usually less than ten rounds suffice.
+/// Usually fewer than ten rounds suffice.
 const ROUNDS_MAX: usize = 10_000;
 
 /// Choices of all nodes of a slot.
 pub(super) struct SlotChoices {
-    /// Node by node.
+    /// The choices, node by node.
     pub all: Vec<SlotChoice>,
     /// Start index of each node's choices; one entry more than nodes.
     pub first: Vec<u32>,
@@ -41,7 +41,7 @@ impl SlotChoices {
     /// The value of a choice in a part.
     pub(super) fn worth(&self, choice: usize, part: usize, values: &[f64]) -> f64 {
         let SlotChoice { known, leak, to, .. } = self.all[choice];
-        // A share of 0 of an infinite value is 0.
+        // A share of 0 of an infinite value counts as 0.
         if leak >= 1.0 { known[part] } else { known[part] + (1.0 - leak) * values[to as usize] }
     }
 

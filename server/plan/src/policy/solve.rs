@@ -15,7 +15,7 @@ use super::{
 };
 use crate::route::{EdgeForecast, Forecasts, Network, check_forecast, expected_secs};
 
-/// Finds the best policy for a target. `until` is called for each slot and now and then within it; `true` stops the
+/// Finds the best policy for a target. `until` is called for each slot and at intervals within it; `true` stops the
 /// work.
 ///
 /// # Errors
@@ -63,7 +63,7 @@ fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
 
 /// Choices whose probability to reach the target differs by at most this are equal.
 const TIE: f64 = 1e-12;
-/// Forecasts between two questions whether to stop.
+/// Number of forecasts between two calls of the stop function.
 const EDGES_PER_CHECK: usize = 256;
 /// The edge number that means waiting.
 const WAIT: u32 = u32::MAX;
@@ -80,7 +80,7 @@ pub(super) struct Solver<'a> {
     network: &'a Network<'a>,
     target: usize,
     options: &'a PolicyOptions,
-    /// Slot by slot, node by node.
+    /// The entries, slot by slot and node by node.
     pub entries: Vec<PolicyEntry>,
     /// Expected attempts, in the same order.
     attempts: Vec<f64>,
@@ -112,7 +112,7 @@ impl<'a> Solver<'a> {
             }
             open.push(forecast);
         }
-        // The next slot's values are good initial values.
+        // The values of the next slot are good initial values.
         let next: Vec<[f64; 3]> = (0..self.network.nodes.len()).map(|node| self.value(node, slot + 1)).collect();
         let mut values = [TIME, REACH, ATTEMPTS].map(|part| next.iter().map(|value| value[part]).collect::<Vec<f64>>());
         values[REACH][self.target] = -1.0;

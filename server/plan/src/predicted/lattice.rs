@@ -1,7 +1,7 @@
 //! The positions of the cells of a region, in metres and in memory.
 //!
 //! Invariant: around the region lies a border of one cell (none below and above a flat one), so that steps from cell to
-//! neighbouring cell reach the border before leaving memory. x runs fastest, z slowest.
+//! neighbouring cell reach the border before they leave the memory. x runs fastest, z slowest.
 
 use tidemap_grid::{
     index::{CellBox, CellIndex},
@@ -23,7 +23,7 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The cells of a region of a grid; for a flat grid those of the layer z = 0.
+    /// The cells of a region of a grid; for a flat grid the cells of the layer z = 0.
     ///
     /// # Errors
     /// [`PredictError::EmptyRegion`], and [`PredictError::TooManyCells`] if more than `max_cells` must be stored, the

@@ -1,4 +1,4 @@
-//! Predictions equal those of the grid, cell by cell.
+//! Checks that predictions equal those of the grid, cell by cell.
 
 use std::sync::{
     Arc,
@@ -45,8 +45,8 @@ fn apply(map: &mut LiveMap, event: &Event) -> Option<tidemap_map::update::Update
     map.apply(map.position() + 1, event).unwrap()
 }
 
-/// Two tiles, hourly for ten days. The first half of the first one's cells is never observed; of the others some are
-/// occupied by day, some always.
+/// Two tiles, observed hourly for ten days. The first half of the first tile's cells is never observed. Some of the
+/// other cells are occupied by day, some always.
 fn learned(grid: GridSpec) -> MapView {
     let mut map = LiveMap::new(map_spec(Some(grid)));
     let mut front = LogHead::new(map.grid().unwrap());
@@ -144,7 +144,7 @@ fn predictions_that_are_told_to_stop_give_nothing() {
     assert!(questions > 20, "{questions}");
     for after in [0, 1, questions / 2, questions - 1] {
         assert_eq!(predict(after), Err(PredictError::Stop(EarlyStop)), "{after} of {questions}");
-        // At most one more question of each tile.
+        // At most one more prediction is made for each tile.
         assert!(asked.load(Ordering::Relaxed) <= after + 7, "{after} {asked:?}");
     }
 }

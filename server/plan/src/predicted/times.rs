@@ -21,7 +21,7 @@ use super::{Lattice, PredictError, PredictOptions};
 #[derive(Clone, Debug)]
 pub struct PredictedGrid {
     lattice: Arc<Lattice>,
-    /// By place in the lattice; NaN where unknown, and on the border.
+    /// The probabilities by place in the lattice; NaN where unknown, and on the border.
     probabilities: Vec<f32>,
 }
 
@@ -29,7 +29,7 @@ impl PredictedGrid {
     /// Predicts a map's grid at a time in nanoseconds UTC. Takes 4 bytes a cell.
     ///
     /// # Errors
-    /// [`PredictError`], before the work begins if it is too much; [`PredictError::Stop`].
+    /// [`PredictError`], before the work begins if the region is too large; [`PredictError::Stop`].
     pub fn new(
         view: &MapView,
         utc_nanos: i64,
@@ -79,11 +79,11 @@ impl PredictedGrid {
 pub struct PredictedTimes {
     lattice: Arc<Lattice>,
     times: usize,
-    /// At the first time, by place in the lattice; NaN where unknown, and on the border.
+    /// The probabilities at the first time, by place in the lattice; NaN where unknown, and on the border.
     first: Vec<f32>,
     /// Places of the changing cells, ascending.
     varying: Vec<u32>,
-    /// Their probabilities, all times of the first, then of the next.
+    /// Probabilities of the changing cells: all times of the first cell, then of the next.
     values: Vec<f32>,
 }
 

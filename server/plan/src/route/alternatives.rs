@@ -11,7 +11,7 @@ use super::{
     labels::{EdgePath, Labels, Task},
 };
 
-/// A route with the first step whose deviations were not tried yet.
+/// A route with the index of the first step whose deviations were not tried yet.
 struct Deviation {
     found: EdgePath,
     deviation: usize,
@@ -26,7 +26,7 @@ pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
     count: usize,
 ) -> Result<Vec<EdgePath>, PlanRouteError> {
     let mut found: Vec<EdgePath> = Vec::new();
-    // Ascending by cost, then by edges.
+    // The candidates, ascending by cost, then by edges.
     let mut candidates = vec![Deviation { found: best, deviation: 0 }];
     while found.len() <= count && !candidates.is_empty() {
         let Deviation { found: route, deviation } = candidates.remove(0);
@@ -55,7 +55,7 @@ pub(super) fn next_best<F: Forecasts, U: FnMut() -> bool>(
                     latest_secs,
                     join_secs: 0.0,
                 };
-                // With enough better candidates it will never be used.
+                // With enough better candidates this one is never used.
                 let wanted = count + 1 - found.len();
                 let limit = candidates.get(wanted - 1).map_or(Cost::INFINITE, |candidate| candidate.found.cost);
                 let good = search.good(&task, limit)?;

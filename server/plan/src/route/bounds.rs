@@ -9,17 +9,17 @@ use super::{ForecastError, Forecasts, cost::Cost, forecast_cache::ForecastCache,
 /// The half width of the sampled times of an edge, as a share of the duration of a good path.
 const REACH: f64 = 0.25;
 
-/// How the least cost of an edge is found.
+/// The source of the least cost of an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Source {
-    /// By known bounds.
+    /// Known bounds.
     Known,
-    /// By this many forecasts.
+    /// This number of forecasts.
     Sampled(u32),
-    /// By this many forecasts around the time at which a good path reaches the edge.
+    /// This number of forecasts around the time at which a good path reaches the edge.
     About {
         samples: u32,
-        /// The cost of that path, which takes the whole span.
+        /// The cost of the good path, which takes the whole span.
         cost: Cost,
     },
 }
@@ -27,14 +27,14 @@ pub(super) enum Source {
 /// Least costs over a span of time.
 #[derive(Clone, Debug)]
 pub(super) struct ToGo {
-    /// From each node to the goal; infinite without a path.
+    /// The least cost from each node to the goal; infinite without a path.
     pub least: Vec<Cost>,
     /// The minimum of both cost parts over the edges into each node.
     into: Vec<Cost>,
 }
 
 impl ToGo {
-    /// Without bounds.
+    /// No bounds: all least costs are 0.
     pub(super) fn nothing(network: &Network) -> ToGo {
         ToGo { least: vec![Cost::ZERO; network.nodes.len()], into: vec![Cost::ZERO; network.nodes.len()] }
     }

@@ -53,7 +53,7 @@ impl Cost {
     }
 }
 
-/// How traversals are priced.
+/// The options that price a traversal.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Costing {
     pub objective: Objective,
@@ -63,7 +63,7 @@ pub(super) struct Costing {
 }
 
 impl Costing {
-    /// The cost; it falls with the success and rises with the duration and the encounters.
+    /// The cost of a traversal; it falls with the success and rises with the duration and the encounters.
     pub(super) fn cost(&self, success: f64, duration_secs: f64, encounters: f64) -> Cost {
         let avoided_secs = self.encounter_cost_secs * encounters;
         let secs = expected_secs(success, duration_secs, self.recovery_secs) + avoided_secs;

@@ -18,7 +18,7 @@ use super::{
 mod answer;
 mod arrival;
 
-/// Plans routes from one node to another. `until` is called now and then; `true` ends the search with the best result
+/// Plans routes from one node to another. `until` is called at intervals; `true` ends the search with the best result
 /// so far.
 ///
 /// If both nodes are equal, the route has no steps and a success of 1. See [`Forecasts`] for `forecasts`.
@@ -37,7 +37,7 @@ pub fn plan_routes(
     plan_routes_with(&SearchWork::USUAL, topology, (from, to), when, options, forecasts, until)
 }
 
-/// [`plan_routes`] with other work.
+/// Does the same as [`plan_routes`], with other search work.
 pub(super) fn plan_routes_with(
     work: &SearchWork,
     topology: &Topology,
@@ -78,7 +78,8 @@ impl RoutePlan {
     }
 }
 
-/// If labels do not suffice, paths count as arriving together within this many times the resolution, or seconds.
+/// If labels do not suffice, paths that arrive within this multiple of the resolution, or within this number of
+/// seconds, count as arriving together.
 const COARSE: f64 = 16.0;
 
 /// A request, with its results so far.
@@ -90,7 +91,7 @@ pub(super) struct Planner<'a, F, U> {
     goal: usize,
     options: &'a RouteOptions,
     work: &'a SearchWork,
-    /// The attempt at a proof has failed, or was not asked for: bounds are sampled.
+    /// The attempt at a proof has failed, or was not requested: bounds are sampled.
     samples_bounds: bool,
     /// Known bounds for all departures of the request.
     known: Option<ToGo>,
@@ -98,7 +99,7 @@ pub(super) struct Planner<'a, F, U> {
     guide: Option<(ToGo, f64)>,
     marks: Marks,
     is_sampled: bool,
-    /// A departure had a path but arrived too late.
+    /// A departure had a path, but the path arrived too late.
     is_late: bool,
     labels: usize,
 }

@@ -1,10 +1,10 @@
-//! Why route planning failed, and the check of a request.
+//! The errors of route planning, and the check of a request.
 //!
 //! Invariant: each message names the invalid value and the valid range.
 
 use super::{ALTERNATIVES_MAX, DEPARTURES_MAX, ForecastError, Objective, RouteOptions, TIME_MAX_SECS, When};
 
-/// Why route planning failed.
+/// The reason why route planning failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum PlanRouteError {

@@ -1,6 +1,6 @@
 //! Forecasts of edges at a time, and their source.
 //!
-//! Invariant: used forecasts lie in range; others are refused with the name of their edge.
+//! Invariant: all used forecasts lie in range; a forecast out of range is refused with the name of its edge.
 
 pub use tidemap_map::edge_forecast::EdgeForecast;
 use tidemap_map::topology::{Edge, NOMINAL_MAX_SECS};
@@ -17,7 +17,7 @@ pub struct EdgeBest {
     pub duration_secs: f64,
 }
 
-/// A source of forecasts. A closure `FnMut(&Edge, f64) -> Option<EdgeForecast>` is one, without bounds.
+/// A source of forecasts. A closure `FnMut(&Edge, f64) -> Option<EdgeForecast>` is a source without bounds.
 pub trait Forecasts {
     /// The forecast of an edge at a time in seconds after the reference time; `None`: the edge is closed then. The same
     /// arguments must give the same result.
@@ -42,7 +42,7 @@ impl<F: FnMut(&Edge, f64) -> Option<EdgeForecast>> Forecasts for F {
     }
 }
 
-/// Why a forecast is invalid.
+/// The reason why a forecast is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum ForecastError {
@@ -62,7 +62,7 @@ pub enum ForecastError {
     Evidence { edge: String, found: f64 },
 }
 
-/// Checks that a forecast lies in range; `name` gives the edge's name for the error.
+/// Checks that a forecast lies in range; `name` returns the edge's name for the error.
 pub(crate) fn check_forecast(forecast: &EdgeForecast, name: impl FnOnce() -> String) -> Result<(), ForecastError> {
     let EdgeForecast { success, evidence, duration_secs } = *forecast;
     if !(SUCCESS_MIN..=1.0).contains(&success) {

@@ -31,10 +31,10 @@ pub(super) struct ForecastCache<'a, F> {
     network: &'a Network<'a>,
     forecasts: &'a mut F,
     pub costing: Costing,
-    /// How lower bounds are priced, if not as everything else.
+    /// The costing of lower bounds, if it differs from that of traversals.
     pub bounds: Option<Costing>,
     resolution_secs: f64,
-    /// For each edge, ascending by time.
+    /// The cached forecasts of each edge, ascending by time.
     kept: Vec<Vec<(f64, Option<EdgeCost>)>>,
     kept_count: usize,
     is_closed: Vec<bool>,

@@ -1,9 +1,9 @@
 //! The best simple path from a node at a time: a label-setting search with one label per path to a node.
 //!
 //! Labels are extended in the order of their lower bounds, until these exceed the cost of the known path. A label is
-//! dropped for another at the same node and time that costs no more, if everything that may follow it may follow the
-//! other: no node that only the other has passed can still be reached within the cost of the known path. With tight
-//! bounds this is nearly always so, and a city has few labels. Invariant: [`Marks`] reports everything that is pruned
+//! dropped for another at the same node and time that costs no more, if everything that may follow the first may follow
+//! the other: no node that only the other has passed can still be reached within the cost of the known path. With tight
+//! bounds this nearly always holds, and a city has few labels. Invariant: [`Marks`] reports everything that is pruned
 //! otherwise.
 
 use std::{
@@ -20,17 +20,17 @@ pub(super) struct EdgePath {
     pub cost: Cost,
 }
 
-/// Where a search begins, and what it must avoid.
+/// The start of a search, and the nodes and edges that it must avoid.
 pub(super) struct Task<'a> {
     /// The path so far.
     pub before: &'a [usize],
-    /// The node at its end.
+    /// The node at the end of the path.
     pub node: usize,
-    /// The arrival there, in seconds after the reference time.
+    /// The arrival at the node, in seconds after the reference time.
     pub at_secs: f64,
     /// The cost so far.
     pub cost: Cost,
-    /// By node: already passed.
+    /// By node: whether the path has already passed it.
     pub is_passed: &'a [bool],
     /// Edges that must not come next.
     pub closed_first: &'a [usize],
@@ -41,7 +41,7 @@ pub(super) struct Task<'a> {
     pub join_secs: f64,
 }
 
-/// What was pruned without proof, and other reasons for finding no path.
+/// The prunings without proof, and the reasons for finding no path.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Marks {
     /// Labels of different times at one node were merged.
@@ -60,9 +60,9 @@ pub(super) struct Marks {
 #[derive(Clone, Copy, Debug)]
 struct Label {
     node: u32,
-    /// The last edge; none of the first label.
+    /// The last edge; the first label has none.
     edge: u32,
-    /// The label before; the first is its own.
+    /// The label before this one; the first label is its own parent.
     parent: u32,
     /// The next label at the same node and time.
     next: u32,
@@ -105,8 +105,8 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         Labels { network, cache, to_go, until, left, marks, made, labels: Vec::new(), stamps, stamp: 0 }
     }
 
-    /// A good path: keeps only the first path to each node in the order of lower bounds. `None` if it finds none within
-    /// `limit`.
+    /// Finds a good path: keeps only the first path to each node in the order of lower bounds. `None` if there is none
+    /// within `limit`.
     pub(super) fn good(&mut self, task: &Task, limit: Cost) -> Result<Option<EdgePath>, PlanRouteError> {
         self.begin(task);
         let mut is_done = task.is_passed.to_vec();
@@ -234,7 +234,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         let label = self.labels[at as usize];
         let to = self.network.to(edge);
         let to_go = self.to_go.least[to];
-        // Before the edge is forecast.
+        // This check comes before the edge is forecast.
         if to_go.first.is_infinite() || label.cost.plus(to_go).is_beyond(limit) {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
 //! A topological map laid out for searches: indices instead of numbers, edges by their ends.
 //!
-//! Invariant: nodes are ascending by number, and so are the edges of a node, so that of equal routes the same one is
-//! always chosen.
+//! Invariant: nodes are ascending by number, and so are the edges of a node, so that the choice among equal routes is
+//! always the same.
 
 use tidemap_map::topology::{Edge, NodeId, Topology};
 
@@ -9,13 +9,13 @@ use tidemap_map::topology::{Edge, NodeId, Topology};
 pub(crate) struct Network<'a> {
     pub topology: &'a Topology,
     pub nodes: Vec<NodeId>,
-    /// By where they begin.
+    /// The edges, ordered by their start nodes.
     pub edges: Vec<&'a Edge>,
     /// Indices of the nodes at both ends of each edge.
     pub ends: Vec<(u32, u32)>,
     /// Start index of each node's edges; one entry more than nodes.
     first: Vec<u32>,
-    /// Edges by where they end.
+    /// The edges, ordered by their end nodes.
     into: Vec<u32>,
     into_first: Vec<u32>,
 }
@@ -23,7 +23,7 @@ pub(crate) struct Network<'a> {
 impl<'a> Network<'a> {
     pub(crate) fn new(topology: &'a Topology) -> Network<'a> {
         let nodes: Vec<NodeId> = topology.nodes().map(|node| node.id).collect();
-        // Both ends exist: the map's invariant.
+        // Both end nodes exist: this is an invariant of the map.
         let index = |node: NodeId| nodes.binary_search(&node).ok().map(|index| index as u32);
         let mut found: Vec<(u32, u32, &Edge)> = topology
             .edges()

@@ -1,6 +1,6 @@
-//! How much a search for a route works. Plans use [`SearchWork::USUAL`]; tests compare it with other values.
+//! The amount of work of a search for a route. Plans use [`SearchWork::USUAL`]; tests compare it with other values.
 //!
-//! Invariant: whatever the work, a result never claims more certainty than it has.
+//! Invariant: for any amount of work, a result never claims more certainty than it has.
 
 /// The work of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,8 +9,8 @@ pub(crate) struct SearchWork {
     /// as arriving together. With 0 both are exact.
     pub resolution_secs: f64,
     /// Labels of the attempt at a proof, by the bounds of [`Forecasts::best`](super::Forecasts::best). An edge without
-    /// one counts as certain to succeed, in no time. So no better route is missed, but on a map of more than about 15
-    /// nodes the labels do not suffice without bounds. Then, and with 0, bounds are sampled.
+    /// a bound counts as certain to succeed, in no time. So no better route is missed, but on a map of more than about
+    /// 15 nodes the labels do not suffice without bounds. Then, and with 0, bounds are sampled.
     pub proof_labels: usize,
     /// Sampled bounds are the best of about this many forecasts of an edge, at least 1, spread evenly over twice the
     /// time of a good route. A route is missed only if an edge of it is better, or open, between the samples only; this

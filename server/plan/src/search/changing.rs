@@ -1,9 +1,9 @@
 //! A search with changing probabilities: each goal has its probability at the robot's arrival.
 //!
 //! This is a heuristic: the cost of a state would depend on its time, so the pruning of the exact search would not be
-//! safe. The order is planned by the probabilities at the start, replanned by those at the arrivals of the last plan,
-//! and the best of these is improved by moving, exchanging and reversing, each evaluated on the whole walk. Invariant:
-//! with probabilities that do not change, the order is that of [`super::search`] or one as good.
+//! safe. The order is planned by the probabilities at the start, then replanned by those at the arrivals of the last
+//! plan. The best of these orders is improved by moving, exchanging and reversing; each change is evaluated on the
+//! whole walk. Invariant: with constant probabilities, the order is that of [`super::search`] or one of equal cost.
 
 use tidemap_map::topology::{NodeId, Roads};
 
@@ -17,7 +17,7 @@ use super::{
 
 /// Maximum number of goals with changing probabilities: each change of the order costs as many predictions.
 pub const CHANGING_GOALS_MAX: usize = 200;
-/// How often the order is planned by the arrivals of the last plan.
+/// Number of times that the order is planned again by the arrivals of the last plan.
 const REPLANS: usize = 4;
 
 /// Plans a search with probabilities predicted for the time of arrival: `probability(node, arrival_secs)`, in `[0,1]`.
@@ -53,7 +53,7 @@ pub fn search_changing(
         SearchQuestion { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
     for _ in 0..=REPLANS {
         let mut ordered = order(roads, &replanned, options, SearchLimits::USUAL, exact, &mut until);
-        // Places on the way are visited in passing.
+        // Places on the way to other goals are visited in passing.
         let plan = SearchPlan::of(roads, &replanned, &ordered, options.floor);
         ordered.nodes = plan.steps.iter().filter_map(|step| roads.index_of(step.node)).collect();
         let weighed = weigh(&ordered)?;
@@ -105,7 +105,7 @@ impl WeighedWalk {
         let (mut at, mut now_secs, mut missing, mut cost) = (problem.count, 0.0, 1.0_f64, 0.0);
         let mut probabilities = Vec::with_capacity(goals.len());
         for &node in &ordered.nodes {
-            // Goals ascend by node.
+            // Goals are sorted by node.
             let Ok(goal) = goals.binary_search_by_key(&node, |&(node, _)| node) else { continue };
             now_secs += problem.secs(at, goal);
             cost += missing * problem.secs(at, goal);

@@ -1,12 +1,12 @@
 //! The best order, proven: dynamic programming over sets, with bounds.
 //!
 //! A walk costs the time of each leg times the weight still unvisited. So of two walks that have visited the same goals
-//! and end at the same one, only the cheaper matters, and of the pairs of set and goal only those whose cost plus bound
-//! of the rest stays below the cost of a known walk. A goal with an unvisited goal on the way to it is never next, so
-//! that a tree or a street has few states. Bounds come in steps: first by the machine alone; if more than 4,000 states
-//! are left, by paths with few units of weight, then with many. Up to 11 goals a plain table of all sets is faster.
-//! Sets are processed by size, so that the search can stop at any time: the least cost plus bound of the last size is
-//! then a lower bound.
+//! and end at the same goal, only the cheaper one matters. A pair of set and goal matters only if its cost plus the
+//! bound of the rest is below the cost of a known walk. A goal with an unvisited goal on the way to it is never next,
+//! so that a tree or a street has few states. Bounds come in steps: first by the machine alone; if more than 4,000
+//! states are left, by paths with few units of weight, then with many. Up to 11 goals a plain table of all sets is
+//! faster. Sets are processed by size, so that the search can stop at any time: the least cost plus bound of the last
+//! size is then a lower bound.
 
 use super::{
     machine::Machine,
@@ -27,7 +27,7 @@ const PATHS: [(usize, u32, u32, usize); 3] =
 /// The result of an exact search.
 #[derive(Clone, Debug)]
 pub(super) struct Proof {
-    /// An order that is better than the one known before.
+    /// An order that is better than the one known before the search.
     pub order: Option<Vec<usize>>,
     /// Lower bound of the cost.
     pub lower_bound: f64,
@@ -128,13 +128,13 @@ impl Iterator for RestBounds<'_> {
     }
 }
 
-/// For few goals: a table of all sets.
+/// The search for few goals: a table of all sets.
 fn table(SortedProblem { problem, passing, machine }: SortedProblem<'_>, known: f64) -> Proof {
     let count = problem.count;
     let sets = 1_usize << count;
     let limit = known * (1.0 - SAME);
     let mut costs = vec![f64::INFINITY; sets * count];
-    // The goals at which a walk with these visited may stand, and their predecessors.
+    // The goals at which a walk may end that has visited this set, and their predecessors.
     let mut ends = vec![0_u16; sets];
     let mut before = vec![0_u8; sets * count];
     let mut bounds = [0.0; TABLE_GOALS_MAX];
@@ -197,7 +197,7 @@ struct SearchState {
     bound: f64,
 }
 
-/// For more goals: only the states that may lead to a better walk, by size of the set.
+/// The search for more goals: only the states that may lead to a better walk, by size of the set.
 struct Layers<'a> {
     search: SortedProblem<'a>,
     paths: Option<&'a Paths>,
@@ -286,7 +286,7 @@ impl Layers<'_> {
 /// The position of each state in a layer: an open-addressing hash table.
 #[derive(Debug, Default)]
 struct StateIndex {
-    /// One more than the number of the state; 0 is free. The length is a power of two.
+    /// One more than the number of the state; 0: the slot is free. The length is a power of two.
     slots: Vec<u32>,
 }
 
@@ -301,7 +301,7 @@ impl StateIndex {
         (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20) as usize & (self.slots.len() - 1)
     }
 
-    /// The state of the same set and goal, or else adds this one.
+    /// The state of this set and goal; adds it if there is none.
     fn find_or_insert<'s>(
         &mut self,
         states: &'s mut Vec<SearchState>,

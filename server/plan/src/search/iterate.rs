@@ -1,8 +1,9 @@
 //! Iterated local search: finds a good walk quickly, without a guarantee.
 //!
 //! A greedy walk is improved, perturbed by exchanging two short stretches, and improved again there. Worse walks are
-//! accepted as in simulated annealing, in cycles: each begins hot at the best walk, cools, and is twice as long as the
-//! one before, so that a search of any length both cools and escapes local minima. The same seed gives the same walk.
+//! accepted as in simulated annealing, in cycles. Each cycle begins hot at the best walk, cools, and is twice as long
+//! as the one before, so that a search of any length both cools and escapes local minima. The same seed gives the same
+//! walk.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -13,7 +14,7 @@ use super::{
 
 /// Longest stretch that a perturbation exchanges.
 const DISTURBED_MAX: usize = 30;
-/// Number of neighbours, alternating by cycle: few are four times as fast, many escape where few are stuck.
+/// Number of neighbours, alternating by cycle: few neighbours are four times as fast, many escape where few are stuck.
 const NEAR: [usize; 2] = [15, 40];
 /// Rounds of the first cycle.
 const CYCLE: usize = 2_000;
@@ -72,7 +73,7 @@ fn disturb(walk: &mut SearchWalk<'_>, count: usize, random: &mut SmallRng) {
     walk.exchange(from, from + first - 1, from + first + second - 1);
 }
 
-/// Greedy: always goes to the goal with the most weight per second.
+/// Greedy order: always goes to the goal with the most weight per second.
 fn greedy(problem: &SearchProblem) -> Vec<usize> {
     let mut order = Vec::with_capacity(problem.count);
     let mut left: Vec<usize> = (0..problem.count).collect();

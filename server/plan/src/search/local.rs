@@ -12,7 +12,7 @@ const MOVED_MAX: usize = 3;
 /// Minimum relative improvement of a change: less is rounding.
 const GAIN_MIN: f64 = 1e-11;
 
-/// For each goal, and for the start, the nearest goals.
+/// The nearest goals of each goal and of the start.
 #[derive(Clone, Debug)]
 pub(super) struct Neighbours {
     each: usize,
@@ -44,7 +44,7 @@ impl Neighbours {
     }
 }
 
-/// A stretch of a walk, by its first and last position; `back` is walked from the last to the first.
+/// A stretch of a walk, by its first and last position; with `back` it is walked from the last to the first.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     first: usize,
@@ -55,14 +55,14 @@ struct Stretch {
 /// Sums up to a position of a walk.
 #[derive(Clone, Copy, Debug, Default)]
 struct PrefixSums {
-    /// The arrival.
+    /// Arrival at the position, seconds.
     secs: f64,
     weight: f64,
     /// Weight times arrival.
     cost: f64,
     /// The duration of the way back to the first goal.
     back_secs: f64,
-    /// Weight times that.
+    /// Weight times the duration of the way back.
     back_cost: f64,
 }
 
@@ -236,7 +236,7 @@ impl<'a> SearchWalk<'a> {
             }
             if to > from {
                 self.weigh(&mut best, from, to, &[Stretch::backwards(from, to)]);
-                // The two exchange places.
+                // The two stretches exchange places.
                 if to > from + 1 {
                     let middle = Stretch::forwards(from + 1, to - 1);
                     let (here, there) = (Stretch::forwards(from, from), Stretch::forwards(to, to));
@@ -255,7 +255,7 @@ impl<'a> SearchWalk<'a> {
                     }
                 }
             } else {
-                // From before this position to behind it.
+                // Moves a stretch from before this position to behind it.
                 for length in 1..=MOVED_MAX {
                     let last = to + length - 1;
                     if last < at {

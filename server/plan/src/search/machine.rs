@@ -3,7 +3,7 @@
 //! If every time between arrivals is at least the sum of a share of the departed goal and one of the reached goal, then
 //! the arrivals are no earlier than the starts of jobs on one machine, whose best order is that of Smith (1956):
 //! ascending by duration over weight. The shares are those of the dual of the assignment problem, or the least times of
-//! arriving, whichever bound is better for the whole search. Invariant: never above the true cost.
+//! arriving, whichever bound is better for the whole search. Invariant: the bound is never above the true cost.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
@@ -49,7 +49,7 @@ impl Machine {
         Machine { leaving, arriving, order, root }
     }
 
-    /// These shares for the search after [`SearchProblem::reordered`] by [`Machine::order`].
+    /// These shares, for the search after [`SearchProblem::reordered`] by [`Machine::order`].
     pub(super) fn sorted(&self) -> Machine {
         Machine {
             leaving: self.order.iter().map(|&goal| self.leaving[goal]).collect(),
@@ -80,7 +80,7 @@ fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f
     };
     let costs: Vec<f64> = (0..count * count).map(|pair| cost(pair / count, pair % count)).collect();
     let (mut leaving, mut arriving) = (vec![0.0; count + 1], vec![0.0; count + 1]);
-    // Which row each column has; the last column stands for the row that is being placed.
+    // The row that each column has; the last column represents the row that is being placed.
     let mut row_of = vec![usize::MAX; count + 1];
     let mut before = vec![0; count];
     let (mut slack, mut done) = (vec![0.0; count], vec![false; count + 1]);

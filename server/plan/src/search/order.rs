@@ -12,7 +12,7 @@ use super::{
     question::{GoalOrder, SearchQuestion},
 };
 
-/// Plans a search from a node. `until` is called now and then; `true` ends the search with the best result so far.
+/// Plans a search from a node. `until` is called at intervals; `true` ends the search with the best result so far.
 ///
 /// # Errors
 /// [`SearchError`].
@@ -26,7 +26,7 @@ pub fn search(
     search_with(SearchLimits::USUAL, roads, start, goals, options, until)
 }
 
-/// [`search`] with other limits.
+/// Does the same as [`search`], with other limits.
 pub(super) fn search_with(
     limits: SearchLimits,
     roads: &Roads,

@@ -4,8 +4,8 @@
 //! units, the rest of a path depends on the units left and the current goal only. The cheapest path over these states
 //! may visit a goal twice, though not directly after leaving it, and costs no more than the best walk (state-space
 //! relaxation: Christofides, Mingozzi, Toth, Networks 1981). A reward for each goal, raised if paths omit it and
-//! lowered if they visit it twice, tightens the bound (subgradient method). Invariant: never above the true cost, for
-//! any rewards.
+//! lowered if they visit it twice, tightens the bound (subgradient method). Invariant: the bound is never above the
+//! true cost, for any rewards.
 
 use super::problem::{Goals, Passing, SearchProblem};
 
@@ -30,7 +30,7 @@ pub(super) struct Paths {
     unit: f64,
     total: u32,
     rewards: Vec<f64>,
-    /// By destination and origin: time, or infinite if no walk has this succession.
+    /// The time by destination and origin; infinite if no walk has this succession.
     secs: Vec<f64>,
     onward: Vec<PathStep>,
     /// A bound of the whole search.

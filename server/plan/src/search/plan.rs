@@ -10,23 +10,23 @@ use super::{
     stop::{Stop, StopReason},
 };
 
-/// A visit of a node, which the planner knows by its number and users by its name.
+/// A visit to a node, which the planner identifies by number and users by name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchStep<N = NodeId> {
     /// The node.
     pub node: N,
-    /// When the robot is there, seconds after it leaves the start.
+    /// Time at which the robot is at the node, seconds after it leaves the start.
     pub arrival_secs: f64,
-    /// Probability of finding the target there, as given.
+    /// Probability of finding the target at the node, as given.
     pub probability: f64,
 }
 
 /// A node on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passage {
-    /// Which.
+    /// The node.
     pub node: NodeId,
-    /// When the robot is there, seconds after it leaves the start.
+    /// Time at which the robot is at the node, seconds after it leaves the start.
     pub arrival_secs: f64,
 }
 
@@ -40,15 +40,15 @@ pub struct SearchPlan {
     /// Expected time to find the target, in seconds, given that it is at one of the steps (Waldo eq. 2, divided by the
     /// sum of the steps' probabilities).
     pub expected_secs: f64,
-    /// No walk to all goals has a lower expected time, before any stop.
+    /// Lower bound of the expected time of all walks to all goals, before any stop.
     pub lower_bound_secs: f64,
     /// Whether the order is proven to be the best, before any stop.
     pub optimal: bool,
-    /// Goals that cannot be reached from the start, or no longer once the others are visited.
+    /// Goals that cannot be reached from the start, or that cannot be reached any more once the others are visited.
     pub unreachable: Vec<Goal>,
-    /// Remaining probability: that of all goals that are not a step, over that of all goals; 0 to 1.
+    /// Remaining probability: the sum over all goals that are not a step, divided by the sum over all goals; 0 to 1.
     pub remains: f64,
-    /// Why the walk ends before all goals are visited, if it does.
+    /// The reason why the walk ends before all goals are visited, if it does.
     pub stopped: Option<StopReason>,
     /// Number of states of the exact search; 0 for a heuristic one.
     pub states: usize,
@@ -69,7 +69,7 @@ impl SearchPlan {
         let (mut at, mut now_secs) = (question.start, 0.0);
         let mut shortest = ShortestTimes::default();
         for &goal in &ordered.nodes {
-            // Already passed.
+            // The goal was already passed.
             let Some(probability) = probability_at[goal] else { continue };
             shortest.between(roads, at, goal);
             if shortest.secs()[goal].is_infinite() {

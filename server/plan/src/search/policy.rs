@@ -7,11 +7,11 @@
 pub struct JointMoment {
     /// The number of the moment, from 0.
     pub index: usize,
-    /// Probability that all are there.
+    /// Probability that all objects are there.
     pub probability: f64,
 }
 
-/// Why a joint probability is undefined.
+/// The reason why a joint probability is undefined.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyError {
     /// A probability is out of range.
@@ -22,8 +22,8 @@ pub enum PolicyError {
     Threshold(f64),
 }
 
-/// The probability that at least one of several persons is at a place, from that of each, in `[0,1]`; 0 without
-/// persons.
+/// The probability that at least one of several persons is at a place, from the probability of each person, in `[0,1]`;
+/// 0 without persons.
 pub fn anyone(probabilities: impl IntoIterator<Item = f64>) -> f64 {
     1.0 - probabilities.into_iter().map(|probability| 1.0 - probability.clamp(0.0, 1.0)).product::<f64>()
 }

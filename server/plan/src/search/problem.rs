@@ -1,8 +1,8 @@
-//! A search as numbers: goals with weights, and times between them.
+//! The numbers of a search: goals with weights, and times between them.
 //!
-//! Invariant: times obey the triangle inequality, the time of observing included, because they are shortest times;
-//! weights are above 0 and, with that of the start, add up to one. So a walk that passes a goal whose observation takes
-//! no time loses nothing by counting it as visited.
+//! Invariant: times, which include the time of observing, obey the triangle inequality, because they are shortest
+//! times; weights are above 0 and, with that of the start, add up to one. So a walk that passes a goal whose
+//! observation takes no time loses nothing by counting it as visited.
 
 use tidemap_map::topology::{Roads, ShortestTimes};
 
@@ -12,12 +12,12 @@ pub(super) type Goals = u64;
 /// Goals 0 to `count`, and the start, which has the index `count`.
 #[derive(Clone, Debug)]
 pub(super) struct SearchProblem {
-    /// Number of goals, the start not among them.
+    /// Number of goals, without the start.
     pub count: usize,
-    /// The weight of each.
+    /// The weight of each goal.
     pub weight: Vec<f64>,
-    /// Seconds from the arrival at one to the arrival at another, row by row, including the observation of the former;
-    /// the last row is the start's, the last column is unused.
+    /// Seconds from the arrival at one goal to the arrival at another, row by row, including the observation of the
+    /// former; the last row is the start's, the last column is unused.
     secs: Vec<f64>,
     /// Whether observing the goal takes no time, so that passing it is a visit.
     pub passable: Vec<bool>,
@@ -62,7 +62,7 @@ impl SearchProblem {
         self.secs[from * (self.count + 1) + to]
     }
 
-    /// Seconds from one arrival to those at all goals.
+    /// Seconds from the arrival at a goal to the arrivals at all goals.
     #[inline]
     pub(super) fn row(&self, from: usize) -> &[f64] {
         &self.secs[from * (self.count + 1)..][..self.count]
@@ -79,7 +79,7 @@ impl SearchProblem {
         expected_secs
     }
 
-    /// This search with its goals in another order.
+    /// The search with its goals in another order.
     pub(crate) fn reordered(&self, order: &[usize]) -> SearchProblem {
         let mut secs = Vec::with_capacity(self.secs.len());
         for from in order.iter().copied().chain([self.count]) {
@@ -99,9 +99,9 @@ impl SearchProblem {
 #[derive(Clone, Debug)]
 pub(super) struct Passing {
     count: usize,
-    /// By from and to: goals on a shortest way between them that are visited by passing.
+    /// The goals on a shortest way between two goals that are visited by passing, by origin and destination.
     between: Vec<Goals>,
-    /// By goal: goals that every walk from the start visits before it.
+    /// The goals that every walk from the start visits before a goal, by goal.
     before: Vec<Goals>,
 }
 
@@ -140,7 +140,7 @@ impl Passing {
         }
     }
 
-    /// This table for the search after [`SearchProblem::reordered`].
+    /// The table for the search after [`SearchProblem::reordered`].
     pub(crate) fn reordered(&self, order: &[usize]) -> Passing {
         let mut place = [0_u32; Goals::BITS as usize];
         for (new, &old) in order.iter().enumerate() {
@@ -182,7 +182,7 @@ impl Passing {
         }
         while between != 0 {
             let via = between.trailing_zeros() as usize;
-            // It lies behind `from`, so it is not visited yet, and would be on the way.
+            // The goal lies behind `from`, so it is not visited yet, and would be on the way.
             if self.before[via] & (1 << from) != 0 {
                 return false;
             }

@@ -16,7 +16,7 @@ pub(super) struct GoalOrder {
 /// A checked request: reachable goals with their probabilities.
 pub(super) struct SearchQuestion {
     pub(super) start: usize,
-    /// Index of the node, probability as given.
+    /// Index of the node, and the probability as given.
     pub(super) goals: Vec<(usize, f64)>,
     pub(super) unreachable: Vec<Goal>,
 }
@@ -35,7 +35,7 @@ impl SearchQuestion {
             return Err(SearchError::Floor(options.floor));
         }
         options.stop.check()?;
-        // Checked before any work per goal.
+        // The number of goals is checked before any work per goal.
         if options.effort == Effort::Exact && goals.len() > EXACT_GOALS_MAX {
             return Err(SearchError::TooManyForExact { found: goals.len() });
         }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a stop cuts off the end of a walk and changes nothing before it.
 
-/// When a walk ends before all places are visited; by default never.
+/// The rule that ends a walk before all places are visited; by default it never does.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stop {
     /// End once the probability of all goals not yet visited, over that of all goals, is below this; 0 to 1.
@@ -15,27 +15,27 @@ pub struct Stop {
     pub within_secs: Option<f64>,
 }
 
-/// Why a walk ends before all goals are visited.
+/// The reason why a walk ends before all goals are visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopReason {
-    /// What remains is below the limit.
+    /// The remaining probability is below the limit.
     Unlikely,
-    /// What remains is not worth the time.
+    /// The remaining gain is not worth the time.
     NotWorthIt,
     /// The time is over.
     OutOfTime,
 }
 
-/// A limit of the stop rule is out of range.
+/// The error for a limit of the stop rule that is out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StopError {
-    /// The limit of the remaining probability.
+    /// The limit of the remaining probability is out of range.
     #[error("the remaining probability at which a search stops is {0}: expected 0 to 1")]
     Remains(f64),
-    /// The cost of a second.
+    /// The cost of a second is out of range.
     #[error("the cost of a second of search is {0}: expected 0 or more")]
     Cost(f64),
-    /// The time limit.
+    /// The time limit is out of range.
     #[error("the time limit of a search is {0} s: expected 0 or more")]
     Within(f64),
 }

@@ -1,4 +1,5 @@
-//! How an online strategy spends a day's visits: each slot is granted or refused when it comes, up to the allowance.
+//! The allowance of an online strategy for a day's visits: each slot is granted or refused when it comes, up to the
+//! allowance.
 //!
 //! Invariant: over a day in which every slot is requested, exactly the allowed number is granted, or all slots.
 
@@ -6,7 +7,7 @@ use std::collections::VecDeque;
 
 use super::StrategyError;
 
-/// Days of experience by which a visit is judged.
+/// Number of past days by which a visit is judged.
 const DAYS_KEPT: usize = 7;
 
 /// The visits of a day; every slot is requested in order.
@@ -31,7 +32,7 @@ pub fn is_worth_a_visit(gain: f64, later: &[f64], left: usize) -> bool {
     left > later.len() || (left > 0 && later.iter().map(of_slot).sum::<f64>() < left as f64)
 }
 
-/// 1 if `other` is higher, one half if it is equal.
+/// Returns 1 if `other` is higher, one half if it is equal.
 fn better(other: f64, gain: f64) -> f64 {
     match other.total_cmp(&gain) {
         std::cmp::Ordering::Greater => 1.0,
@@ -41,7 +42,7 @@ fn better(other: f64, gain: f64) -> f64 {
 }
 
 impl Allowance {
-    /// The given number of visits in the given number of slots a day.
+    /// An allowance of `visits` a day, with `slots` a day.
     ///
     /// # Errors
     /// [`StrategyError`] where there are no slots or more visits than slots.

@@ -5,7 +5,7 @@
 
 use rand::{Rng as _, rngs::SmallRng};
 
-/// An index, with a probability in proportion to its weight.
+/// Draws an index, with a probability in proportion to its weight.
 pub(super) fn index(random: &mut SmallRng, weights: impl Iterator<Item = f64> + Clone) -> usize {
     let total: f64 = weights.clone().sum();
     let count = weights.clone().count();
@@ -23,7 +23,7 @@ pub(super) fn index(random: &mut SmallRng, weights: impl Iterator<Item = f64> + 
             left -= weight;
         }
     }
-    // The remainder of rounding.
+    // Rounding may leave a remainder.
     last
 }
 
@@ -31,7 +31,7 @@ pub(super) fn index(random: &mut SmallRng, weights: impl Iterator<Item = f64> + 
 /// ascending.
 pub(super) fn distinct(random: &mut SmallRng, weights: &[f64], count: usize) -> Vec<usize> {
     // The largest of u^(1/w) have that distribution (P. Efraimidis and P. Spirakis, "Weighted random sampling with a
-    // reservoir", 2006); so have the smallest of -ln(u)/w, which do not underflow.
+    // reservoir", 2006); the smallest of -ln(u)/w have it too, and do not underflow.
     let mut keyed: Vec<(f64, f64, usize)> = weights
         .iter()
         .enumerate()

@@ -11,7 +11,7 @@ use super::{GAIN_MAX, GAINS_MAX, StrategyError};
 pub struct Gains {
     slots: usize,
     places: usize,
-    /// By slot, then by place.
+    /// The gains, by slot and then by place.
     values: Vec<f64>,
 }
 
@@ -36,10 +36,10 @@ impl Gains {
         Ok(Gains { slots, places, values })
     }
 
-    /// `Ok` if a matrix may have this size.
+    /// Returns `Ok` if a matrix may have this size.
     ///
     /// # Errors
-    /// As [`Gains::of`].
+    /// The errors are those of [`Gains::of`].
     pub(crate) fn check_size(slots: usize, places: usize) -> Result<(), StrategyError> {
         if slots == 0 {
             return Err(StrategyError::NoSlots);
@@ -53,7 +53,7 @@ impl Gains {
         }
     }
 
-    /// Combines learning and a task: w·I/I_max + (1 - w)·p, between 0 and 1. `task` holds the probability p that the
+    /// Combines learning and a task: w·I/I_max + (1 - w)·p, between 0 and 1. `task` contains the probability p that the
     /// task succeeds at a place in a slot, such as meeting people, and w = `exploration`, from 0 (task only) to 1
     /// (information only). Example: the info-terminal of the STRANDS project (Kulich et al., "To explore or to
     /// exploit?", MESAS 2016), which should be where people are and must learn when that is.

@@ -54,7 +54,7 @@ pub fn schedule(
     Ok(visits_of_slots)
 }
 
-/// The weight of rest, w, with which the expected number of visits is the ratio times the slots: the root of
+/// The weight of no visit, w, for which the expected number of visits is the ratio times the slots: the root of
 /// Σ S/(S + w) = e·m over the m slots, where S is the sum of a slot's gains, each plus ι. `ratio` is above 0.
 fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
     /// Halvings of the bracket: below the resolution of f64.
@@ -62,12 +62,12 @@ fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
     let of_slot = |slot: usize| gains.slot(slot).iter().map(|gain| gain + IOTA_BITS).sum::<f64>();
     let sums: Vec<f64> = (0..gains.slots()).map(of_slot).collect();
     let odds = (1.0 - ratio) / ratio;
-    // If all slots were as the poorest, or as the richest.
+    // The bracket: the root if all slots were like the poorest slot, and if all were like the richest.
     let mut least = sums.iter().copied().fold(f64::INFINITY, f64::min) * odds;
     let mut highest = sums.iter().copied().fold(0.0, f64::max) * odds;
     let wanted = ratio * sums.len() as f64;
     for _ in 0..STEPS {
-        // Gains differ by orders of magnitude, so the geometric mean; of 0 (a ratio of 1) it is 0.
+        // Gains differ by orders of magnitude, so this is the geometric mean; for a ratio of 1 the mean is 0.
         let middle = least.sqrt() * highest.sqrt();
         let expected: f64 = sums.iter().map(|sum| sum / (sum + middle)).sum();
         if expected > wanted { least = middle } else { highest = middle }
@@ -125,8 +125,8 @@ fn greedy(random: &mut SmallRng, gains: &Gains, visits: usize) -> Vec<Option<usi
     plan
 }
 
-/// Chooses one place again by the present gains of all places in the slot: the best, or with random strategies one in
-/// proportion to gain plus [`IOTA_BITS`]. Strategies that ignore gains, and empty gains, keep `planned`.
+/// Chooses the place again by the present gains of all places in the slot: the best place, or with random strategies a
+/// place drawn in proportion to gain plus [`IOTA_BITS`]. Strategies that ignore gains, and empty gains, keep `planned`.
 pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) -> usize {
     let mut random = SmallRng::seed_from_u64(seed);
     match strategy {
@@ -140,13 +140,14 @@ pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) 
 }
 
 /// A place to visit instead of the planned one, because recent observations contradict the model there: of the places
-/// where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times what the model expects,
-/// the one with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I) of each place.
+/// where [`surprise_bits`](crate::location::surprise_bits) is at least [`NOVELTY_FACTOR`] times the model's
+/// expectation, the place with the largest difference (RAS 2017, eq. 12). `None` where there is none. Pairs are (I', I)
+/// of each place.
 pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
     let mut best: Option<(usize, f64)> = None;
     for (place, (surprise, expected)) in places.into_iter().enumerate() {
         let more = surprise - expected;
-        // Surprise limits probabilities to the certainty, so the compared value must, too.
+        // The surprise limits probabilities to the certainty, so the compared value must do so, too.
         let is_novel = surprise >= NOVELTY_FACTOR * expected.max(entropy_bits(INFORMATION_CERTAINTY));
         if is_novel && best.is_none_or(|(_, highest)| more > highest) {
             best = Some((place, more));

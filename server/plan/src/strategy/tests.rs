@@ -15,7 +15,7 @@ fn visits(plan: &[Option<usize>]) -> usize {
     plan.iter().flatten().count()
 }
 
-/// How often each place was scheduled in a slot over many seeds, rest first.
+/// Number of times that each place was scheduled in a slot over many seeds; the first is no visit.
 fn counts(strategy: Strategy, gains: &Gains, budget: Budget, slot: usize) -> Vec<f64> {
     let mut counts = vec![0.0; gains.places() + 1];
     for seed in 0..SEEDS {
@@ -43,7 +43,7 @@ fn assert_distributed(counts: &[f64], probabilities: &[f64]) {
 
 #[test]
 fn monte_carlo_keeps_the_ratio_and_the_proportions_of_equation_11() {
-    // A flat: little to learn at night, much at noon.
+    // A flat: a visit gains little at night and much at noon.
     let flat = Gains::of(144, 10, |slot, place| {
         let noon = (slot as f64 / 144.0 * std::f64::consts::TAU).cos().mul_add(-0.5, 0.5);
         noon.powi(4) * ((place * 3 % 7) as f64 / 6.0) + if slot == 70 { 40.0 } else { 0.0 }
@@ -132,7 +132,7 @@ fn round_robin_visits_all_alike_and_goes_on_where_it_stopped() {
         let plan = schedule(Strategy::RoundRobin { visited }, &gains, Budget::Ratio(0.5), 0).unwrap();
         visited += visits(&plan) as u64;
         plan.iter().flatten().for_each(|&place| seen[place] += 1);
-        // Interleaved: never two of the same kind in a row.
+        // Slots are interleaved: never two of the same kind in a row.
         assert!(plan.windows(2).all(|pair| pair[0].is_some() != pair[1].is_some()));
     }
     assert_eq!(seen, [36; 10]);
@@ -153,10 +153,10 @@ fn a_visit_is_chosen_again_by_what_is_known_now() {
 fn a_surprise_changes_the_visit_and_a_small_one_does_not() {
     use crate::location::{information_bits, surprise_bits};
     let place = |expected: f64, informed: f64| (surprise_bits([(expected, informed)]), information_bits([informed]));
-    // Just observed there, while the model is certain of the contrary.
+    // The second place: something was just observed there, while the model is certain of the contrary.
     assert_eq!(novel([place(0.0, 0.0), place(0.9, 0.02), place(0.5, 0.5)]), Some(1));
     assert_eq!(novel([place(0.0, 0.0), place(1.0, 1.0), place(0.9, 0.4), place(0.1, 0.0)]), None);
-    // The larger of two.
+    // The larger of the two differences wins.
     assert_eq!(novel([place(0.6, 0.05), place(0.9, 0.05)]), Some(1));
     assert_eq!(novel([]), None);
 }
@@ -202,7 +202,7 @@ fn an_allowance_learns_when_visits_are_worth_most() {
     let mut day = || (0..10).map(|slot| allowance.grant(gain(slot))).collect::<Vec<_>>();
     let first = day();
     assert_eq!(first.iter().filter(|granted| **granted).count(), 4);
-    // Evenly at first, then at the best slots.
+    // Visits are evenly spread at first, then at the best slots.
     assert!(first[..5].iter().filter(|granted| **granted).count() == 2);
     let second = day();
     assert!(second[3] && second[4] && second[5], "{second:?}");

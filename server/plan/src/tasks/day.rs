@@ -1,7 +1,7 @@
-//! The tasks of a map on a local day: from tasks, nodes and moments to the numbers of a plan, and back.
+//! The tasks of a map on a local day: converts tasks, nodes and moments to the numbers of a plan, and back.
 //!
-//! Invariant: each occurrence of a task is either a step of the plan or unserved, with a reason. Steps follow one
-//! another as a kept plan needs it.
+//! Invariant: each occurrence of a task is either a step of the plan or unserved, with a reason. The order of the steps
+//! is valid for a kept plan.
 
 use tidemap_map::{
     name::{StateName, TaskName},
@@ -44,17 +44,17 @@ pub fn occurrences<'a>(tasks: impl Iterator<Item = &'a RobotTask>, zone: &Zone, 
 pub struct MapDay<'a> {
     /// The map.
     pub topology: &'a Topology,
-    /// The slots by which forecasts and values change.
+    /// The slots in which forecasts and values are constant.
     pub slots: &'a DaySlots,
-    /// What is to be done.
+    /// The occurrences of tasks to plan.
     pub occurrences: &'a [Occurrence<'a>],
-    /// Where the robot is at first.
+    /// The node where the robot is at the beginning.
     pub start: NodeId,
-    /// When it is ready, nanoseconds UTC.
+    /// Time at which the robot is ready, nanoseconds UTC.
     pub ready_nanos: i64,
     /// The additional time of a failed attempt at an edge, seconds.
     pub recovery_secs: f64,
-    /// The cost of a failure beyond its time, seconds, by which ways are chosen.
+    /// The cost of a failure beyond its time, seconds. It affects the choice of ways.
     pub failure_cost_secs: f64,
 }
 
@@ -67,7 +67,7 @@ pub struct UnservedTask {
     pub from_nanos: i64,
     /// The latest end, nanoseconds UTC.
     pub until_nanos: i64,
-    /// Why.
+    /// The reason why the task is not planned.
     pub reason: UnservedReason,
 }
 
@@ -230,7 +230,7 @@ mod tests {
         assert!(shown.iter().any(|(at, work)| *at >= 10 * 3_600 && name(work) == ("greet/n2".to_owned(), 1.8, 0.5)));
         let reasons: Vec<_> = plan.unserved.iter().map(|task| (task.name.kind.as_str(), task.reason)).collect();
         assert_eq!(reasons, [("wait", UnservedReason::UnknownState), ("lost", UnservedReason::UnknownNode)]);
-        // The robot does not leave hours before: three edges take 240 s with what may fail.
+        // The robot does not leave hours before: three edges take 240 s, possible failures included.
         assert_eq!(plan.steps[0].start_nanos - plan.steps[0].departure_nanos, 240_000_000_000);
     }
 }

@@ -1,8 +1,8 @@
 //! The best plan of few tasks, over all sets of tasks and last tasks.
 //!
-//! A label is a partial plan: the set of tasks done, the last of them, when it ended and what all were worth. One that
-//! ends no earlier and is worth no more than another of the same set and last task is dropped: the other may wait. So
-//! is one that cannot reach the value of a known plan with all tasks that are left.
+//! A label is a partial plan: the set of completed tasks, the last of them, its end, and the total worth. A label is
+//! dropped if it ends no earlier and is worth no more than another label with the same set and last task, because the
+//! other may wait. A label is also dropped if all remaining tasks cannot lift it to the value of a known plan.
 //!
 //! Invariant: no plan is worth more than the result, up to rounding.
 
@@ -22,11 +22,11 @@ struct Label {
     value: f64,
     end_secs: f64,
     place: usize,
-    /// Index of the label before, the task and its choice; none of the first label.
+    /// Index of the previous label, the task and its choice; the first label has none.
     last: Option<(usize, usize, Choice)>,
 }
 
-/// The best plan of the tasks. `known`: the value of a known plan. `None`: it would take too many steps.
+/// The best plan of the tasks. `known`: the value of a known plan. `None`: the search would take too many steps.
 pub(super) fn plan_exactly(
     timing: &mut Timing<'_>,
     tasks: &[usize],
@@ -36,7 +36,7 @@ pub(super) fn plan_exactly(
     let count = tasks.len();
     let (start, ready_secs) = (timing.day.start, timing.day.ready_secs);
     let mut labels = vec![Label { value: 0.0, end_secs: ready_secs, place: start, last: None }];
-    // By set of tasks, then by last task.
+    // The fronts, by set of tasks and then by last task.
     let mut fronts: Vec<Vec<usize>> = vec![Vec::new(); count << count];
     let mut best = 0;
     for set in 0..1_usize << count {
@@ -77,7 +77,7 @@ pub(super) fn plan_exactly(
     Ok(Some(moves(&labels, best)))
 }
 
-/// Adds a label to a front unless another is no worse, and drops those that are no better.
+/// Adds a label to a front unless another label is at least as good, and drops the labels that are no better.
 fn add(front: &mut Vec<usize>, labels: &mut Vec<Label>, new: Label) {
     let is_no_worse = |one: &Label, other: &Label| one.value >= other.value && one.end_secs <= other.end_secs;
     if front.iter().any(|known| is_no_worse(&labels[*known], &new)) {

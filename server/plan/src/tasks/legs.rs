@@ -1,7 +1,7 @@
 //! The ways between the places of tasks, for each slot of a day.
 //!
-//! Invariant: a leg is the cheapest way by the forecasts of its slot's middle, by expected seconds plus a cost for what
-//! may fail; its numbers are finite. From a place to itself a leg takes no time.
+//! Invariant: a leg is the cheapest way by the forecasts of its slot's middle, by expected seconds plus a cost for
+//! possible failures; its numbers are finite. A leg from a place to itself takes no time.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
@@ -24,7 +24,7 @@ pub struct Leg {
     pub success: f64,
 }
 
-/// How ways are chosen.
+/// The options for the choice of ways.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LegOptions {
     /// Length of a slot, in seconds, above 0.
@@ -37,7 +37,7 @@ pub struct LegOptions {
     pub failure_cost_secs: f64,
 }
 
-/// Why legs cannot be computed.
+/// The reason why legs cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum LegError {
@@ -47,13 +47,13 @@ pub enum LegError {
     /// A number is out of range.
     #[error("{what} is {found}: expected {expected}")]
     Range { what: &'static str, found: f64, expected: String },
-    /// Too much work.
+    /// The computation is too large.
     #[error("{edges} edges in {slots} slots for {places} places are too much work; use fewer, longer slots")]
     TooMuch { edges: usize, slots: usize, places: usize },
     /// A forecast is out of range.
     #[error(transparent)]
     Forecast(#[from] ForecastError),
-    /// It was stopped.
+    /// The caller stopped the computation.
     #[error("the ways between the tasks were not ready in time; raise the time limit, or plan fewer tasks")]
     Stopped,
 }
@@ -70,7 +70,7 @@ pub struct LegTable {
     slot_secs: f64,
     slots: usize,
     places: usize,
-    /// By slot, then from, then to.
+    /// The legs, by slot, then origin, then destination.
     legs: Vec<Option<Leg>>,
 }
 
@@ -78,7 +78,7 @@ impl LegTable {
     /// The table of `leg(slot, from, to)`.
     ///
     /// # Errors
-    /// [`LegError::Range`] for a slot without length, no slots or too many, and for legs that are no times or
+    /// [`LegError::Range`] for a slot without length, no slots or too many, and for legs whose numbers are not times or
     /// probabilities.
     pub fn new(
         (slot_secs, slots): (f64, usize),
@@ -173,7 +173,8 @@ impl LegTable {
     }
 }
 
-/// A success in whole percents, at least one: no robot should wait for a difference that forecasts cannot tell.
+/// A success in whole percents, at least one: no robot should wait for a difference that is below the precision of
+/// forecasts.
 fn whole_percent(success: f64) -> f64 {
     (success * 100.0).round().max(1.0) / 100.0
 }

@@ -1,6 +1,7 @@
-//! A good order of many tasks: each is inserted where it is worth most, then single tasks move while that helps.
+//! A good order of many tasks: each task is inserted where it is worth most, then single tasks are moved while this
+//! improves the order.
 //!
-//! Invariant: the result depends on the question only; the work is bounded by counted steps, not by time.
+//! Invariant: the result depends only on the request; the work is bounded by counted steps, not by time.
 
 use tidemap_model::StopSignal;
 
@@ -12,7 +13,7 @@ use super::{
 
 /// Maximum number of timed tasks while orders are improved.
 const STEPS_MAX: usize = 600_000;
-/// Maximum number of partial plans that are kept of one order: those that are worth most.
+/// Maximum number of partial plans that are kept for an order: the plans that are worth most.
 const FRONT_MAX: usize = 12;
 
 /// A partial plan of an order.
@@ -58,7 +59,7 @@ pub(super) fn search_order(
     let mut search = Search { timing, steps: 0, stop };
     let mut order = Order { tasks: Vec::new(), value: 0.0, end_secs: ready_secs };
     let mut rest = tasks.to_vec();
-    // The dearest per second first, so that they get the best places.
+    // The tasks with the greatest value per second come first, so that they get the best places.
     let rate = |task: &usize| search.timing.greatest[*task].0 / search.timing.day.tasks[*task].duration_secs;
     let rates: Vec<f64> = rest.iter().map(rate).collect();
     let mut by_rate: Vec<usize> = (0..rest.len()).collect();
@@ -71,7 +72,7 @@ pub(super) fn search_order(
 }
 
 impl Search<'_, '_, '_> {
-    /// Inserts each task that is left where the order becomes best.
+    /// Inserts each remaining task where the order becomes best.
     fn insert(&mut self, order: &mut Order, rest: &mut Vec<usize>) -> Result<bool, TaskPlanError> {
         let mut left = Vec::new();
         for &task in &*rest {
@@ -95,12 +96,12 @@ impl Search<'_, '_, '_> {
         Ok(has_inserted)
     }
 
-    /// Moves one task, or exchanges one for another that is left, if the order becomes better.
+    /// Moves one task, or exchanges one for a remaining task, if the order becomes better.
     fn improve(&mut self, order: &mut Order, rest: &mut Vec<usize>) -> Result<bool, TaskPlanError> {
         let count = order.tasks.len();
         for from in 0..count {
             for to in 0..count {
-                // Neighbours change places only once.
+                // The exchange of two neighbours is tried only once.
                 if from == to || from == to + 1 {
                     continue;
                 }
@@ -150,7 +151,7 @@ impl Search<'_, '_, '_> {
         Ok(best.map(|Partial { value, end_secs, .. }| Order { tasks, value, end_secs }))
     }
 
-    /// The partial plans after each task of an order; `None` where one cannot be done.
+    /// The partial plans after each task of an order; `None` where a task cannot be done.
     fn fronts(&mut self, tasks: &[usize]) -> Option<Vec<Vec<Partial>>> {
         let day = self.timing.day;
         let mut fronts = vec![vec![Partial { value: 0.0, end_secs: day.ready_secs, before: 0, choice: None }]];
@@ -164,7 +165,7 @@ impl Search<'_, '_, '_> {
                     front.push(Partial { value, end_secs, before, choice: Some(choice) });
                 }
             }
-            // The earliest first; each later one is worth more.
+            // The earliest plan comes first; each later one is worth more.
             front.sort_by(|one, other| one.end_secs.total_cmp(&other.end_secs).then(other.value.total_cmp(&one.value)));
             let mut greatest = f64::NEG_INFINITY;
             front.retain(|partial| {
@@ -173,7 +174,7 @@ impl Search<'_, '_, '_> {
                 is_more
             });
             if front.len() > FRONT_MAX {
-                // The earliest stays, so that what can be done is found.
+                // The earliest plan stays, so that an order that can be done is found.
                 front.drain(1..front.len() + 1 - FRONT_MAX);
             }
             if front.is_empty() {
@@ -201,7 +202,7 @@ impl Search<'_, '_, '_> {
     }
 }
 
-/// Index of the partial plan that is worth most; the last, as they ascend.
+/// Index of the partial plan that is worth most: the last, because the worths ascend.
 fn best_of(front: &[Partial]) -> Option<usize> {
     front.len().checked_sub(1)
 }

@@ -1,4 +1,4 @@
-//! Plans of tasks against plain enumeration over whole seconds, and what a plan says of single tasks.
+//! Checks plans of tasks against plain enumeration over whole seconds, and the results for single tasks.
 
 use std::collections::HashMap;
 
@@ -53,8 +53,8 @@ impl World {
         TaskDay { tasks: &self.tasks, legs: &self.legs, start: 0, ready_secs: 1.0 }
     }
 
-    /// The greatest value from a moment on: every task that is left begins at every second that is possible, or the
-    /// robot waits a second.
+    /// The greatest value from a moment on: every remaining task begins at every possible second, or the robot waits a
+    /// second.
     fn best(&self, known: &mut HashMap<(usize, usize, usize), f64>, (done, place, at): (usize, usize, usize)) -> f64 {
         if at > SLOT * SLOTS + 3 {
             return 0.0;
@@ -70,7 +70,7 @@ impl World {
             let last = task.until_secs as usize - task.duration_secs.min(task.until_secs) as usize;
             let is_short = task.from_secs + task.duration_secs > task.until_secs;
             for start in arrival.max(task.from_secs as usize)..=last {
-                // What is worth nothing is not done, not even to be elsewhere.
+                // A task without value is not done, not even to change the place.
                 if is_short || task.value.at(slot(start)) == 0.0 {
                     continue;
                 }
@@ -188,7 +188,7 @@ fn the_robot_waits_for_the_hour_that_is_worth_more() {
     }];
     let day = TaskDay { tasks: &tasks, legs: &legs.unwrap(), start: 0, ready_secs: 0.0 };
     let plan = plan_tasks(&day, StopSignal::NEVER).unwrap();
-    // It departs as late as the way is best, and waits there until the value is greatest.
+    // The robot departs as late as the best way allows, and waits at the place until the value is greatest.
     let TaskStep { departure_secs, start_secs, end_secs, .. } = plan.steps[0];
     assert_eq!((departure_secs, start_secs, end_secs), (2_670.0, 2_700.0, 3_000.0));
     assert!((plan.expected_value - 0.99).abs() < 1e-12);

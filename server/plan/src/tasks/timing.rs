@@ -1,11 +1,11 @@
-//! When a task can be done from a place, and what that is worth.
+//! Finds the times at which a task can be done from a place, and the worth of each.
 //!
-//! Invariant: of two choices, the one that ends later is worth more. No time between those that are tried is better
-//! than all of them.
+//! Invariant: of two choices, the one that ends later is worth more. No time between the tried times is better than all
+//! of them.
 
 use super::{DayTask, LegTable, TaskDay, TaskStep, TaskValue};
 
-/// How long before the end of a slot a robot departs that has to depart in it.
+/// Time before the end of a slot at which a robot departs that has to depart in this slot.
 const LATE_SECS: f64 = 1.0;
 
 /// One way to do a task.
@@ -16,7 +16,7 @@ pub(super) struct Choice {
     pub end_secs: f64,
     pub value: f64,
     pub success: f64,
-    /// What it counts in a plan.
+    /// Worth of the choice in a plan.
     pub worth: f64,
 }
 
@@ -62,7 +62,7 @@ fn latest_departure(legs: &LegTable, (from, to): (usize, usize), choice: &Choice
 /// An arrival at a task.
 #[derive(Clone, Copy, Debug)]
 struct TaskArrival {
-    /// When the task can begin.
+    /// Time at which the task can begin.
     start_secs: f64,
     slot: usize,
     departure_secs: f64,
@@ -72,7 +72,7 @@ struct TaskArrival {
 /// The times of a day.
 pub(super) struct Timing<'a> {
     pub day: &'a TaskDay<'a>,
-    /// For each task: the greatest value, and the greatest success of a leg to it.
+    /// For each task: the greatest value, and the greatest success of a leg to the task.
     pub greatest: Vec<(f64, f64)>,
     arrivals: Vec<TaskArrival>,
 }
@@ -90,7 +90,7 @@ impl<'a> Timing<'a> {
         Timing { day, greatest: day.tasks.iter().map(greatest).collect(), arrivals: Vec::new() }
     }
 
-    /// The choices for a task of a robot that is ready at a place, ascending by end and by worth.
+    /// The choices for a task, for a robot that is ready at a place, ascending by end and by worth.
     pub(super) fn choices(&mut self, from: usize, task: usize, ready_secs: f64) -> Vec<Choice> {
         let day = self.day;
         let DayTask { place, from_secs, until_secs, duration_secs, ref value, .. } = day.tasks[task];

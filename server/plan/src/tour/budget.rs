@@ -8,13 +8,13 @@ use super::order::Ways;
 #[derive(Debug)]
 pub(super) struct TourBudget<'a> {
     pub ways: &'a Ways<'a>,
-    /// Of each goal.
+    /// The value of each goal.
     pub values: &'a [f64],
     /// Seconds a metre.
     pub secs_m: f64,
     /// Seconds at each goal.
     pub observation_secs: f64,
-    /// Infinite without a limit.
+    /// The time limit, seconds; infinite without a limit.
     pub budget_secs: f64,
 }
 

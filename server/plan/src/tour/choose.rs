@@ -20,11 +20,11 @@ use crate::{
     view::{Fan, GROUP_MAX, GroupScorer, Scene},
 };
 
-/// Candidates that are evaluated at once at first: a few, because the first may suffice. Each further batch has twice
-/// as many, because views of a group cost far less than single ones.
+/// Number of candidates that are evaluated at once at first. It is small, because the first batch may suffice. Each
+/// further batch has twice as many, because views of a group cost far less than single ones.
 const BATCH: usize = 4;
 
-/// Candidates that are evaluated at once at most, for each thread.
+/// Maximum number of candidates that are evaluated at once, for each thread.
 const BATCH_MAX: usize = GROUP_MAX;
 
 /// Maximum number of remembered cells of evaluated candidates; beyond it, they are evaluated again.
@@ -34,7 +34,7 @@ const KEPT_MAX: usize = 1 << 24;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TourGoal {
     pub candidate: usize,
-    /// Its expected information beyond that of the goals chosen before it, bits.
+    /// Expected information of the candidate beyond that of the goals chosen before it, bits.
     pub bits: f64,
     /// Places of the visible cells with information.
     pub seen: Vec<u32>,
@@ -51,7 +51,7 @@ struct GainBound {
 impl Eq for GainBound {}
 
 impl Ord for GainBound {
-    /// The most valuable last; ties: upper bounds, so that they are evaluated, then the first.
+    /// The most valuable comes last; ties: upper bounds, so that they are evaluated, then the first.
     fn cmp(&self, other: &GainBound) -> std::cmp::Ordering {
         let by_value = self.value.total_cmp(&other.value);
         by_value.then(other.is_exact.cmp(&self.is_exact)).then(other.candidate.cmp(&self.candidate))
@@ -69,9 +69,9 @@ pub(super) struct GoalSelection<'a> {
     scene: &'a Scene,
     fan: &'a Fan,
     candidates: &'a [TourCandidate],
-    /// If it is set, the choice ends early, and must not be used.
+    /// If this is set, the choice ends early, and must not be used.
     stop: StopSignal<'a>,
-    /// By place: cells that a chosen goal sees.
+    /// By place: whether a chosen goal sees the cell.
     covered: Vec<bool>,
     /// The information of each candidate, or its upper bound.
     bits: Vec<f64>,
@@ -233,7 +233,7 @@ fn bounds(scene: &Scene, fan: &Fan, candidates: &[TourCandidate]) -> Vec<f64> {
     let reach_z = i32::try_from(reach[2]).unwrap_or(i32::MAX);
     let layers =
         region.min.z.max(z.saturating_sub(reach_z))..region.max.z.min(z.saturating_add(reach_z).saturating_add(1));
-    // Over all columns with a lower x and a lower y.
+    // The sums over all columns with a lower x and a lower y.
     let mut sums = vec![0.0; (width + 1) * (depth + 1)];
     for z in layers {
         for (row, y) in (1..).zip(region.min.y..region.max.y) {
@@ -257,7 +257,7 @@ fn bounds(scene: &Scene, fan: &Fan, candidates: &[TourCandidate]) -> Vec<f64> {
         let (low, high) = (y.saturating_sub(reach[1]), (y + reach[1] + 1).min(depth));
         let at = |row: usize, column: usize| sums[row * (width + 1) + column];
         let within = at(high, right) - at(low, right) - at(high, left) + at(low, left);
-        // Differences of sums over the whole region.
+        // The value is a difference of sums over the whole region.
         (within + 1e-9 * at(depth, width)).max(0.0)
     };
     candidates.iter().map(bound).collect()

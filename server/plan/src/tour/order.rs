@@ -15,7 +15,7 @@ pub(super) struct Ways<'a> {
     from_start: Vec<f64>,
     returns: bool,
     between: Vec<f64>,
-    /// If it is set, orders are found early, and must not be used.
+    /// If this is set, orders are found early, and must not be used.
     pub(super) stop: StopSignal<'a>,
 }
 
@@ -71,7 +71,7 @@ impl<'a> Ways<'a> {
         if count == 0 {
             return Vec::new();
         }
-        // By subset, then by its last goal: the length, and the goal before the last.
+        // By subset, then by the last goal: the length, and the goal before the last.
         let mut best = vec![(f64::INFINITY, usize::MAX); count << count];
         for (last, &goal) in goals.iter().enumerate() {
             best[(1 << last) * count + last] = (self.from_start[goal], usize::MAX);
@@ -103,7 +103,7 @@ impl<'a> Ways<'a> {
         order
     }
 
-    /// Nearest neighbour.
+    /// The nearest-neighbour drive.
     pub(super) fn nearest(&self, goals: &[usize]) -> Vec<usize> {
         let mut left = goals.to_vec();
         let mut order: Vec<usize> = Vec::with_capacity(goals.len());

@@ -1,15 +1,15 @@
 //! The path of a tour around obstacles.
 //!
-//! Invariant: a path goes through passable columns only, and is as long as the tour says, up to the way from the start
+//! Invariant: a path goes through passable columns only, and has the length of the tour, up to the way from the start
 //! to the centre of its column.
 
 use super::question::TourEnd;
 use crate::travel::{Column, Distances, TravelGrid};
 
-/// What the path of a tour is made from.
+/// The data from which the path of a tour is made.
 pub(super) struct TourPaths<'a> {
     pub travel: &'a TravelGrid,
-    /// The column that the robot starts from.
+    /// The column at which the robot starts.
     pub start: Column,
     pub from_start: &'a Distances,
     /// Columns of the goals.
@@ -37,7 +37,7 @@ impl TourPaths<'_> {
         path
     }
 
-    /// Appends the way from a column to the one that distances are from.
+    /// Appends the way from a column to the origin of the distances.
     fn append(&self, path: &mut Vec<[f64; 2]>, from: Column, to: &Distances) {
         let way = self.travel.way(from, to);
         let step = |one: &Column, next: &Column| (next.x as i64 - one.x as i64, next.y as i64 - one.y as i64);

@@ -18,7 +18,7 @@ pub(super) struct TourCandidate {
     pub column: Column,
     pub cell: CellIndex,
     pub at_m: [f64; 2],
-    /// Above 0.
+    /// Probability of reaching the candidate, above 0.
     pub reachability: f64,
 }
 
@@ -31,20 +31,20 @@ const CANDIDATES_MAX: usize = 100_000;
 /// Maximum distance from the start to the nearest free place for the robot's centre, metres: chargers stand at walls.
 pub const START_TOLERANCE_M: f64 = 0.5;
 
-/// Where a tour ends.
+/// The end of a tour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TourEnd {
-    /// At the start, such as a charger.
+    /// The tour ends at the start, for example at a charger.
     #[default]
     Start,
-    /// At its last goal.
+    /// The tour ends at its last goal.
     LastGoal,
 }
 
 /// The request of a tour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourQuestion {
-    /// Where the robot starts, x and y in the map's frame, metres.
+    /// Position at which the robot starts, x and y in the map's frame, metres.
     pub start_m: [f64; 2],
     /// Number of goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
     pub goals: usize,
@@ -52,13 +52,13 @@ pub struct TourQuestion {
     pub spacing_m: f64,
     /// The sensor at each goal.
     pub sensor: Sensor,
-    /// The direction of its view, radians; without effect for an all-around sensor.
+    /// The direction of the sensor's view, radians; without effect for an all-around sensor.
     pub yaw_rad: f64,
     /// The options of views.
     pub scene: SceneOptions,
     /// The options of driving.
     pub travel: TravelOptions,
-    /// Where the tour ends.
+    /// The end of the tour.
     pub end: TourEnd,
     /// Speed of the robot, metres a second, above 0. Default 0.5.
     pub speed_m_per_s: f64,
@@ -86,7 +86,7 @@ impl Default for TourQuestion {
     }
 }
 
-/// Why the request of a tour is invalid.
+/// The reason why the request of a tour is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TourError {
@@ -114,7 +114,7 @@ pub enum TourError {
     /// The threshold is invalid.
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
-    /// The work was told to stop.
+    /// The work received the signal to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }
@@ -151,7 +151,8 @@ impl TourQuestion {
         Ok(())
     }
 
-    /// Points of the candidates' grid along x and y: the remainder is split between both sides; at least one point.
+    /// Number of points of the candidates' grid along x and y: the remainder is split between both sides; at least one
+    /// point.
     fn points(&self, grid: &PredictedGrid) -> [f64; 2] {
         let lattice = grid.lattice();
         let [width, depth, _] = lattice.size();

@@ -69,7 +69,7 @@ fn goals_lie_where_there_is_something_to_learn() {
     for step in &plan.steps {
         assert_eq!(step.reachability, 0.5);
     }
-    // The corners share no cell, so the first goal is worth as much as it is alone.
+    // The corners share no cell, so the first goal has the same worth as a single goal.
     let alone = tour(&grid, &TourQuestion { goals: 1, ..question(&grid, 30, 5) }).information_bits;
     assert!(plan.steps.iter().any(|step| (step.information_bits - alone).abs() < 1e-9));
     let bits: f64 = plan.steps.iter().map(|step| step.information_bits).sum();
@@ -111,7 +111,7 @@ fn goals_are_apart_where_views_overlap() {
 
 #[test]
 fn a_view_that_shares_all_is_not_taken_twice() {
-    // Small enough that one view sees all of it.
+    // The room is so small that one view sees all of it.
     let grid = room(9, 9, |_, _| 0.5);
     let plan = tour(&grid, &TourQuestion { spacing_m: 0.1, ..question(&grid, 4, 4) });
     assert_eq!(plan.steps.len(), 1);
@@ -119,7 +119,7 @@ fn a_view_that_shares_all_is_not_taken_twice() {
 
 #[test]
 fn obstacles_are_in_the_way() {
-    // A wall with a door at the far end: close in a straight line only.
+    // A wall with a door at the far end: the place behind it is near only in a straight line.
     let wall = |door: bool| {
         room(60, 30, move |x, y| match (x, y) {
             (30, 24..) if door => 0.0,
@@ -179,7 +179,7 @@ fn places_that_were_not_reached_are_worth_less() {
     for x in 0..20 {
         for y in 0..20 {
             let (x_m, y_m) = (f64::from(x) * 0.5 + 0.1, f64::from(y) * 0.5 - 2.0);
-            // The right half is hard to reach, one time in five.
+            // The right half is hard to reach: one attempt in five.
             for attempt in 0..5 {
                 known.report(x_m, y_m, attempt == 0 || x_m < at(&grid, 30, 0)[0], 0).unwrap();
             }
@@ -306,7 +306,7 @@ fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
     each(&mut goals.to_vec(), 0, tell);
 }
 
-/// The choice of goals by evaluating every candidate in every round.
+/// Chooses goals by evaluating every candidate in every round.
 fn choose_plainly(scene: &Scene, fan: &Fan, candidates: &[TourCandidate], goals: usize) -> Vec<(usize, f64)> {
     let mut looker = ViewScorer::new(fan);
     let mut covered: HashSet<CellIndex> = HashSet::new();

@@ -1,4 +1,4 @@
-//! Paths around obstacles, against relaxation of all steps until convergence.
+//! Checks paths around obstacles against relaxation of all steps until convergence.
 
 use proptest::prelude::*;
 use tidemap_grid::index::CellBox;
@@ -52,7 +52,7 @@ fn a_wide_robot_does_not_fit_through_a_narrow_door() {
     let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
     let wide = |radius_m: f64| travel(&lines, &TravelOptions { radius_m, ..TravelOptions::default() });
     assert!((to(&wide(0.0), (1, 3), (9, 3)).unwrap() - 8.0).abs() < 1e-9);
-    // A door of one cell: from its middle to the jambs are 5 cm.
+    // A door of one cell: its middle is 5 cm from the jambs.
     assert!((to(&wide(0.05), (1, 3), (9, 3)).unwrap() - 8.0).abs() < 1e-9);
     assert!(to(&wide(0.06), (1, 3), (9, 3)).is_none_or(|cells| cells > 8.0));
     // Closed columns are those whose centre is nearer to the obstacle's cell than the radius.

@@ -1,4 +1,4 @@
-//! The rays of a sensor, as one tree of their cells.
+//! The rays of a sensor, stored as one tree of their cells.
 //!
 //! A viewpoint is the centre of a cell, so the rays pass the same relative cells from everywhere. Rays with a common
 //! beginning are merged. The tree is stored in preorder: a cell, then the cells behind it. A view is one pass, which
@@ -21,7 +21,7 @@ mod tests;
 /// The rays of a sensor on a lattice.
 #[derive(Clone, Debug)]
 pub struct Fan {
-    /// The number of the cell of each node of the tree: the same in each branch.
+    /// The number of the cell of each node of the tree: a cell has the same number in each branch.
     pub(super) nodes: Vec<u32>,
     /// For each node, the next node that does not lie behind it.
     pub(super) skips: Vec<u32>,
@@ -37,9 +37,10 @@ pub struct Fan {
     yaw_rad: f64,
 }
 
-/// Directions of the rays of a sensor, of length 1, seen by yaw: rows from the lowest up, each from right to left. Rows
-/// of R = range / resolution cells are at most 1/R rad apart, and so are the rays of a row at its ends, a row at
-/// elevation e having ⌈fov·R·cos e⌉ steps. A field of view that is not all around has rays on its edges.
+/// Directions of the rays of a sensor, of length 1, turned by the yaw: rows from the lowest up, each from right to
+/// left. For a range of R = range / resolution cells, rows are at most 1/R rad apart, and the rays of a row are at most
+/// that far apart at their ends: a row at elevation e has ⌈fov·R·cos e⌉ steps. A field of view that is not all around
+/// has rays on its edges.
 pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Vec<[f64; 3]> {
     let range = sensor.range_m / lattice.resolution_m();
     let is_around = sensor.is_all_around();
@@ -62,8 +63,8 @@ pub(super) fn directions(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Ve
 }
 
 impl Fan {
-    /// The rays of a sensor with a yaw in radians, which does not matter for an all-around sensor. About 6 MB and 40 ms
-    /// for 4 m, 360° x 90°, at 0.1 m, in a hall of sufficient height.
+    /// The rays of a sensor with a yaw in radians, which does not matter for an all-around sensor. Takes about 6 MB and
+    /// 40 ms for 4 m, 360° x 90°, at 0.1 m, in a hall of sufficient height.
     ///
     /// # Errors
     /// [`InvalidSensor`]; before the work begins.
@@ -71,7 +72,7 @@ impl Fan {
         Fan::until(sensor, lattice, yaw_rad, StopSignal::NEVER)
     }
 
-    /// Like [`Fan::new`]; if the signal was set, the result must not be used.
+    /// Does the same as [`Fan::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         sensor: &Sensor,
         lattice: &Lattice,
@@ -135,7 +136,7 @@ impl Fan {
         self.nodes.len()
     }
 
-    /// Always false: there is the viewpoint's own cell.
+    /// Always false: the viewpoint's own cell is always included.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
@@ -159,7 +160,7 @@ impl Fan {
         self.reach
     }
 
-    /// Whether it was made for a lattice of this shape.
+    /// Whether the fan was made for a lattice of this shape.
     pub(super) fn fits(&self, lattice: &Lattice) -> bool {
         self.size == lattice.size() && self.strides == lattice.strides()
     }
@@ -181,7 +182,7 @@ impl Fan {
 fn path(direction: [f64; 3], range: f64, size: [usize; 3]) -> Vec<u8> {
     let mut steps = Vec::new();
     let mut crossed = [0_usize; 3];
-    // Divided each time instead of accumulated, so that rounding errors do not add up.
+    // The distance is divided each time instead of accumulated, so that rounding errors do not add up.
     let border = |axis: usize, crossed: usize| (crossed as f64 + 0.5) / direction[axis].abs();
     let mut next = [border(0, 0), border(1, 0), border(2, 0)];
     loop {

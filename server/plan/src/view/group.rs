@@ -1,10 +1,10 @@
 //! Many views of a scene in one pass over the rays.
 //!
 //! A bit for each viewpoint goes along the rays: it is set where the viewpoint still sees. So a node of the tree of
-//! rays costs the same for 64 viewpoints as for one, and only a cell that a viewpoint sees for the first time costs a
-//! look at the scene.
+//! rays costs the same for 64 viewpoints as for one, and only a cell that a viewpoint sees for the first time costs an
+//! access to the scene.
 //!
-//! Invariant: each viewpoint sees the cells that [`super::ViewScorer`] gives, in the same order.
+//! Invariant: each viewpoint sees the cells that [`super::ViewScorer`] returns, in the same order.
 
 use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
@@ -14,15 +14,15 @@ use super::{
     scene::{OPAQUE, OUTSIDE},
 };
 
-/// Viewpoints of a pass at most.
+/// Maximum number of viewpoints of a pass.
 pub(crate) const GROUP_MAX: usize = 64;
 
 /// A cell of the fan in a pass.
 #[derive(Clone, Copy, Debug, Default)]
 struct GroupMark {
-    /// The viewpoints that have seen it.
+    /// The viewpoints that have seen the cell.
     seen: u64,
-    /// Those of them that see through it.
+    /// The viewpoints that have seen the cell and see through it.
     clear: u64,
 }
 
@@ -30,14 +30,14 @@ struct GroupMark {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GroupScorer {
     marks: Vec<GroupMark>,
-    /// The nodes above the current one: where their branches end, and who sees through them.
+    /// The nodes above the current one: the ends of their branches, and the viewpoints that see through them.
     above: Vec<(usize, u64)>,
 }
 
 impl GroupScorer {
-    /// Calls `seen` with the number of a viewpoint and the place of a cell that it sees, once for each. Of more than
-    /// [`GROUP_MAX`] viewpoints the others are not evaluated; a viewpoint outside the region sees nothing.
-    /// Not all cells if the signal is set.
+    /// Calls `seen` with the number of a viewpoint and the place of a cell that it sees, once for each. Viewpoints
+    /// beyond the first [`GROUP_MAX`] are not evaluated; a viewpoint outside the region sees nothing. If the signal is
+    /// set, some cells are missing.
     pub(crate) fn each(
         &mut self,
         scene: &Scene,
@@ -60,7 +60,7 @@ impl GroupScorer {
         self.marks.clear();
         self.marks.resize(fan.cells(), GroupMark::default());
         self.above.clear();
-        // Who sees as far as the current node, up to the end of the branch that it is in.
+        // The viewpoints that see as far as the current node, up to the end of its branch.
         let (mut until, mut who) = (usize::MAX, all);
         let (mut at, mut passed) = (0, 0_usize);
         while let Some(&cell) = fan.nodes.get(at) {

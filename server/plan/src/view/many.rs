@@ -1,7 +1,7 @@
 //! Views from many viewpoints at many times, on all threads.
 //!
-//! Invariant: an invalid viewpoint gets its reason and does not affect the others. The cost of a request is known
-//! before the work begins.
+//! Invariant: an invalid viewpoint results in an error of its own and does not affect the others. The cost of a request
+//! is known before the work begins.
 
 use std::{
     collections::HashMap,
@@ -28,13 +28,13 @@ pub struct ViewLimits {
 }
 
 impl Default for ViewLimits {
-    /// 10^12: some minutes on two cores.
+    /// The limit is 10^12: some minutes on two cores.
     fn default() -> ViewLimits {
         ViewLimits { max_work: 1_000_000_000_000 }
     }
 }
 
-/// Why many views are refused.
+/// The reason why many views are refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum TooMuchWork {
@@ -47,7 +47,7 @@ pub enum TooMuchWork {
     /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
-    /// The work was told to stop.
+    /// The work received the signal to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }
@@ -67,7 +67,7 @@ impl Fans<'_> {
         if let Some(fan) = known().get(&yaw.to_bits()) {
             return Ok(Arc::clone(fan));
         }
-        // Without the lock, so that others can continue.
+        // The fan is made without the lock, so that other threads can continue.
         let fan = Arc::new(Fan::until(self.sensor, self.scene.lattice(), yaw, self.stop)?);
         let mut known = known();
         if known.len() >= FANS {
@@ -80,8 +80,8 @@ impl Fans<'_> {
 
 /// The expected information in bits of each viewpoint at each of the scene's times; `None` at times at which its cell
 /// is probably occupied. Each result is reported with the viewpoint's number, in order, as soon as possible; an invalid
-/// viewpoint gets its reason. [`ControlFlow::Break`] stops the work. Runs on the threads of rayon's pool. A sensor that
-/// is not all around needs a [`Fan`] for each distinct yaw.
+/// viewpoint results in its error. [`ControlFlow::Break`] stops the work. Runs on the threads of rayon's pool. A sensor
+/// that is not all around needs a [`Fan`] for each distinct yaw.
 ///
 /// # Errors
 /// [`TooMuchWork`], before the work begins; [`TooMuchWork::Stop`].

@@ -15,7 +15,7 @@ use crate::{
 
 /// An opaque cell.
 pub(super) const OPAQUE: u8 = 1;
-/// Not a cell of the region.
+/// A place that is not a cell of the region.
 pub(super) const OUTSIDE: u8 = 2;
 
 /// The options of a scene.
@@ -23,7 +23,7 @@ pub(super) const OUTSIDE: u8 = 2;
 pub struct SceneOptions {
     /// The certainty of an observed cell. Default 0.95.
     pub certainty: Certainty,
-    /// Cells with a higher probability stop rays; in [0, 1]. Default 0.5.
+    /// Cells with a higher probability stop rays; the threshold is in [0, 1]. Default 0.5.
     pub threshold: f64,
 }
 
@@ -38,13 +38,13 @@ impl Default for SceneOptions {
 #[error("threshold {0}: it must be between 0 and 1")]
 pub struct InvalidThreshold(pub f64);
 
-/// Why predictions are not prepared for views.
+/// The reason why predictions are not prepared for views.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SceneError {
     /// The threshold is invalid.
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
-    /// The work was told to stop.
+    /// The work received the signal to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }
@@ -59,12 +59,11 @@ impl SceneOptions {
         probability > self.threshold
     }
 
-    /// Flags and information of each place; NaN is unknown.
-    /// Not of all places if the signal is set.
+    /// Flags and information of each place; NaN is unknown. If the signal is set, some places are missing.
     pub(super) fn judge(&self, lattice: &Lattice, probabilities: &[f32], stop: StopSignal<'_>) -> (Vec<u8>, Vec<f64>) {
         let mut flags = vec![OPAQUE | OUTSIDE; lattice.held()];
         let mut bits = vec![0.0; lattice.held()];
-        // Neighbours are mostly equal.
+        // Neighbouring cells are mostly equal.
         let mut last = (f32::NAN, self.certainty.most_bits());
         for place in lattice.rows().take_while(|_| !stop.is_set()).flatten() {
             let probability = probabilities[place];
@@ -104,7 +103,7 @@ impl Scene {
         Scene::until(grid, options, StopSignal::NEVER)
     }
 
-    /// Like [`Scene::new`]; if the signal was set, the result must not be used.
+    /// Does the same as [`Scene::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         grid: &PredictedGrid,
         options: &SceneOptions,

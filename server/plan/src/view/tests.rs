@@ -37,7 +37,7 @@ fn dice(seed: u64) -> f64 {
     ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Mostly free; some cells are unknown, occupied, or in between.
+/// Most cells are free; some are unknown, occupied, or in between.
 fn probability(seed: u64, at: CellIndex) -> Option<f32> {
     let value = |salt: u64| {
         let place = (at.x as u64) << 40 ^ (at.y as u64 & 0xff_ffff) << 16 ^ (at.z as u64 & 0xffff);
@@ -166,7 +166,7 @@ proptest! {
         let min = lattice.region().min;
         let from: Vec<CellIndex> = viewpoints.iter().map(|&(x, y, z)| cell(min.x + x, min.y + y, min.z + z)).collect();
         let (mut single, mut group) = (ViewScorer::new(&fan), GroupScorer::default());
-        // Twice, since the memory is used again.
+        // The test runs twice, because the memory is used again.
         for _ in 0..2 {
             let mut seen = vec![Vec::new(); from.len()];
             group.each(&scene, &fan, &from, StopSignal::NEVER, |number, place| seen[number].extend(lattice.cell(place)));
@@ -215,7 +215,7 @@ proptest! {
         yaws in prop::collection::vec(-3.0_f64..3.0, 1..4),
     ) {
         let lattice = lattice([13, 11, 5], is_flat);
-        // Some cells come and go, some grow more probable, some are the same always.
+        // Some cells appear and disappear, some grow more probable, some never change.
         let at_time = |at: CellIndex, time: usize| {
             let kind = dice(seed ^ (at.x as u64) << 30 ^ (at.y as u64 & 0xffff) << 12 ^ (at.z as u64 & 0xfff));
             match kind {
@@ -405,7 +405,7 @@ fn neighbouring_rays_are_at_most_one_cell_apart_at_full_range() {
         for pair in rays.windows(2).filter(|pair| pair[0][2] == pair[1][2]) {
             assert!(apart(&pair[0], &pair[1]) <= 1.0 + 1e-9);
         }
-        // The first ray of each row, straight behind.
+        // The first ray of each row points straight behind.
         let first: Vec<[f64; 3]> = rays.chunk_by(|one, next| one[2] == next[2]).map(|row| row[0]).collect();
         assert!(first.windows(2).all(|pair| apart(&pair[0], &pair[1]) <= 1.0 + 1e-9));
         assert_eq!(first.len(), if is_flat { 1 } else { 46 });

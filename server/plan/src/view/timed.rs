@@ -34,13 +34,13 @@ pub struct TimedScene {
     lattice: Arc<Lattice>,
     times: usize,
     flags: Vec<u8>,
-    /// For cells that do not change.
+    /// Information of the cells that do not change.
     bits: Vec<f64>,
     /// Numbers of the changing cells, by place; empty without any.
     numbers: Vec<u32>,
-    /// Information of changing cells, all times of the first, then of the next.
+    /// Information of the changing cells: all times of the first cell, then of the next.
     rows: Vec<f64>,
-    /// Times at which they are occupied, in the same order, one set per chunk of times.
+    /// Times at which the changing cells are occupied, in the same order, one set per chunk of times.
     occupied: Vec<u128>,
 }
 
@@ -92,7 +92,7 @@ impl TimedScene {
     /// The cell of a viewpoint.
     ///
     /// # Errors
-    /// [`ViewError`]; [`ViewError::Occupied`] if it is occupied at all times.
+    /// [`ViewError`]; [`ViewError::Occupied`] if the cell is occupied at all times.
     pub fn stand(&self, sensor: &Sensor, at: &Viewpoint) -> Result<CellIndex, ViewError> {
         let cell = at.cell(sensor, &self.lattice)?;
         if self.lattice.place(cell).is_none_or(|place| self.flags[place] & OPAQUE != 0) {
@@ -143,7 +143,7 @@ impl TimedViewScorer {
         self.view_until(scene, fan, from, StopSignal::NEVER)
     }
 
-    /// Like [`TimedViewScorer::view`]; if the signal was set, the result must not be used.
+    /// Does the same as [`TimedViewScorer::view`]; if the signal was set, the result must not be used.
     pub(super) fn view_until(
         &mut self,
         scene: &TimedScene,
@@ -247,7 +247,7 @@ impl TimedViewScorer {
         bits.iter_mut().zip(varying).for_each(|(bits, varying)| *bits = fixed + varying);
     }
 
-    /// Adds the cells that are seen at some of the times only; `row` gives the information of a cell at each time.
+    /// Adds the cells that are seen at some of the times only; `row` returns the information of a cell at each time.
     fn add_partly<'r>(&self, scene: &TimedScene, row: impl Fn(usize) -> &'r [f64], varying: &mut [f64]) {
         for &PartialCell { place, times } in &self.partly {
             let (row, is_fixed) =

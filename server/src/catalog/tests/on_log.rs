@@ -6,7 +6,7 @@ use super::*;
 use crate::ingest::writer::{RestoredMap, start_in};
 
 impl Catalog {
-    /// Creates a map whose events go to this log, and which begins as a follower.
+    /// Creates a map that begins as a follower, and whose events go to this log.
     pub(crate) fn create_on(&self, spec: MapSpec, log: Arc<dyn EventLog>) -> Arc<MapHandle> {
         let (context, spec) = (self.context.clone(), Arc::new(spec));
         let id = context.store.create_map(&spec).expect("created");

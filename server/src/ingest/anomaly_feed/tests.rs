@@ -1,4 +1,4 @@
-//! Which pieces watchers get, and what is kept.
+//! Tests which pieces watchers get, and which pieces are kept.
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{

@@ -18,9 +18,9 @@ pub(super) struct CastTable {
 #[derive(Debug)]
 pub(super) struct CastScan {
     pub scan: StreamScan,
-    /// Tiles that are new in the table.
+    /// The tiles that are new in the table.
     pub new_tiles: Vec<TileIndex>,
-    /// Whether the table restarted before them.
+    /// Whether the table restarted before these tiles.
     pub restarts: bool,
 }
 

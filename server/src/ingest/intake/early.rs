@@ -1,14 +1,14 @@
-//! Times that no clock of today shows: from a robot whose clock is not set, or in another unit.
+//! Times before today's clocks: from a robot whose clock is not set, or in another unit.
 //!
 //! Invariant: only maps with a real clock refuse them, so that simulations may begin at 0.
 
 use tidemap_map::spec::REAL_CLOCK_MIN_NANOS;
 use tidemap_model::time::format_rfc3339;
 
-/// After this, a time in another unit is not what was meant: the year 2100.
+/// The latest plausible time, the year 2100: a conversion from another unit to a later time was not meant.
 const LATEST_NANOS: i64 = 4_102_444_800_000_000_000;
 
-/// Why a time is refused, and what it may have been meant as.
+/// The text of a refusal of a time, with its probable meaning.
 pub(crate) fn refusal(time: i64) -> String {
     let secs = time as f64 / 1e9;
     let meant = [("seconds", 1_000_000_000), ("milliseconds", 1_000_000), ("microseconds", 1_000)]

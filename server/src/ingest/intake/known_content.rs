@@ -1,7 +1,7 @@
-//! The content of what a stream's key has sent before, to compare it with what comes again.
+//! The content that a stream's key has sent before, to compare it with repeated observations.
 //!
-//! Invariant: what comes again in order, from a sequence number at which the running CRC is known, is compared at every
-//! later number at which it is known. Anything else that comes again is skipped without a comparison.
+//! Invariant: observations that are repeated in order, from a sequence number with a known running CRC, are compared at
+//! every later number with a known CRC. All other repeated observations are skipped without a comparison.
 
 use std::collections::VecDeque;
 
@@ -11,9 +11,9 @@ use super::IntakeError;
 
 #[derive(Debug, Default)]
 pub(super) struct KnownContent {
-    /// Ascending by sequence number. The CRC before the first observation, 0, is always known.
+    /// The known CRCs, ascending by sequence number. The CRC before the first observation, 0, is always known.
     marks: VecDeque<ContentMark>,
-    /// What came again last: the number at which the comparison began, and the CRC so far.
+    /// The last repeated observations: the number at which the comparison began, and the CRC so far.
     repeated: Option<(u64, ContentMark)>,
 }
 
@@ -22,7 +22,7 @@ impl KnownContent {
         Self { marks: marks.into(), repeated: None }
     }
 
-    /// New observations were taken.
+    /// Records that new observations were taken.
     pub(super) fn took(&mut self, sequence: u64, crc: u32) {
         if self.marks.back().is_some_and(|newest| newest.sequence >= sequence) {
             return;
@@ -38,7 +38,7 @@ impl KnownContent {
         place.ok().map(|place| self.marks[place]).or((sequence == 0).then(ContentMark::default))
     }
 
-    /// An observation that was taken before has come again. `append` gives the CRC after it, from that before it.
+    /// Compares a repeated observation. `append` returns the CRC after the observation, from the CRC before it.
     ///
     /// # Errors
     /// [`IntakeError::DataMismatch`].
@@ -54,7 +54,7 @@ impl KnownContent {
             let next = self.marks.back().map_or(sequence, |newest| newest.sequence) + 1;
             return Err(IntakeError::DataMismatch { first: start, last: sequence, next });
         }
-        // What is compared and equal is known from here on.
+        // Content that was compared and is equal counts as known from here on.
         let start = if known.is_some() { sequence + 1 } else { start };
         self.repeated = Some((start, ContentMark { sequence, crc }));
         Ok(())

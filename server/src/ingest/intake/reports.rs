@@ -1,7 +1,7 @@
 //! The reports of one stream.
 //!
-//! Invariant: as for observations. Whether the map has an edge or a landmark is checked by its writer, which knows the
-//! site.
+//! Invariant: as for observations. The map's writer checks whether the map has an edge or a landmark, because it has
+//! the site.
 
 use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
 use tidemap_proto::convert::{
@@ -15,7 +15,7 @@ use super::{
 };
 
 impl Intake {
-    /// Checks a message of reports. `None`: nothing of it is new.
+    /// Checks a message of reports. `None`: the message has nothing new.
     ///
     /// # Errors
     /// Errors that end the stream; nothing of the message was taken.

@@ -1,8 +1,8 @@
-//! The scans of one stream: decoded, ray-cast if they are readings, and handed over in batches.
+//! The scans of one stream: they are decoded, ray-cast if they are readings, and handed over in batches.
 //!
-//! Invariant: a batch has about [`BATCH_BYTES`] and [`BATCH_CELLS`], or holds a single scan, however much a message
-//! unpacks to. Ray-cast tiles lie within the extent of the grid. Scans that were taken before are handed over too,
-//! because later ones refer to them; they are not logged again.
+//! Invariant: a batch has about [`BATCH_BYTES`] and [`BATCH_CELLS`], or a single scan, for any unpacked size of a
+//! message. Ray-cast tiles lie within the extent of the grid. Scans that were taken before are also handed over,
+//! because later scans refer to them; they are not logged again.
 
 use std::sync::Arc;
 
@@ -25,17 +25,17 @@ mod effort;
 
 use effort::RayCells;
 
-/// A batch with this much memory is handed over.
+/// Memory of a batch at which it is handed over.
 const BATCH_BYTES: usize = 256 << 10;
-/// Memory of a scan besides its flips, about.
+/// Memory of a scan besides its flips, approximately.
 const SCAN_BYTES: usize = 160;
-/// Memory of a refusal, about.
+/// Memory of a refusal, approximately.
 const REFUSED_BYTES: usize = 300;
 /// Maximum number of cells that one ray passes.
 const RAY_CELLS_MAX: u64 = 100_000;
 /// Maximum number of cells that the rays of one scan pass.
 const CAST_CELLS_MAX: u64 = 200_000_000;
-/// A batch whose rays pass this many cells is handed over.
+/// Number of cells that the rays of a batch pass at which it is handed over.
 const BATCH_CELLS: u64 = 20_000_000;
 /// A message whose rays pass more cells than this is ray-cast off the async threads.
 const CELLS_AT_ONCE: u64 = 20_000;
@@ -49,15 +49,15 @@ pub(super) struct ScanIntake {
     limits: ScanLimits,
     /// Tiles that the current message adds to the stream's table, until they are handed over.
     new_tiles: Vec<TileIndex>,
-    /// What the scans of the current message are pictures of, until it is handed over.
+    /// The cells that the scans of the current message show, until it is handed over.
     shown: CellBox,
-    /// The cost of rays; `None` without a grid.
+    /// The estimate of the cost of rays; `None` without a grid.
     ray_cells: Option<RayCells>,
-    /// Cells of an unfinished scan.
+    /// Number of cells of an unfinished scan.
     open_cells: u64,
     /// Whether ray-casting the current message is expensive.
     is_much_work: bool,
-    /// The tiles that the previous batch saw, shared by scans that saw the same.
+    /// The tiles that the previous batch saw; scans that saw the same tiles share them.
     seen: Option<Arc<[u32]>>,
 }
 
@@ -89,7 +89,7 @@ impl ScanIntake {
         std::mem::take(&mut self.open_cells)
     }
 
-    /// The cells that the rays of a message pass, about.
+    /// The number of cells that the rays of a message pass, approximately.
     fn cells_of(&self, message: &ScanMessage) -> u64 {
         let Some(cells) = &self.ray_cells else { return 0 };
         let (rays, is_open) = (message.rays(), self.open_sequence().is_some());
@@ -118,7 +118,7 @@ impl ScanIntake {
     }
 }
 
-/// Removes what lies outside of the grid.
+/// Removes the cells outside of the grid.
 fn cut(spec: &GridSpec, tiles: &mut Vec<(TileIndex, TileMasks)>) {
     let allowed = spec.allowed();
     tiles.retain_mut(|(index, masks)| {
@@ -142,7 +142,7 @@ fn refusal(reason: RefusalReason, detail: String) -> ScanRefusal {
 }
 
 impl Intake {
-    /// Begins a message of scans; take them with [`Intake::next_scans`] before the next message. Gives whether
+    /// Begins a message of scans; take them with [`Intake::next_scans`] before the next message. Returns whether
     /// ray-casting them is expensive.
     ///
     /// # Errors
@@ -165,7 +165,7 @@ impl Intake {
         });
         self.scans.new_tiles = self.scans.decoder.begin(message)?;
         if self.scans.spec.is_none() {
-            // Without a grid no scans are handed over, so that nobody needs the tiles.
+            // Without a grid no scans are handed over, so the tiles are not needed.
             self.scans.new_tiles = Vec::new();
         }
         Ok(self.scans.is_much_work)
@@ -198,7 +198,7 @@ impl Intake {
         Ok((!is_empty).then_some(batch))
     }
 
-    /// Takes one scan; gives how many cells its rays pass, about.
+    /// Takes one scan; returns the number of cells that its rays pass, approximately.
     fn take_scan(&mut self, decoded: DecodedScan, batch: &mut ScanBatch) -> Result<u64, IntakeError> {
         let DecodedScan { sequence, utc_nanos, digest, content, mut refusal } = decoded;
         let is_new = sequence == self.next_sequence;
@@ -239,7 +239,7 @@ impl Intake {
             batch.bytes += 4 * (scan.observed_flips.len() + scan.occupied_flips.len());
             batch.bytes += SCAN_BYTES * taken.new_tiles.len();
             if self.scans.seen.as_ref().is_none_or(|seen| !Arc::ptr_eq(seen, &scan.seen)) {
-                // Counted twice: as slots, and as tiles of the map.
+                // The tiles are counted twice: as slots, and as tiles of the map.
                 batch.bytes += 8 * scan.seen.len();
                 self.scans.seen = Some(Arc::clone(&scan.seen));
             }

@@ -1,4 +1,5 @@
-//! Observations and scans as a stream sends them: what is taken, skipped, refused, and what ends the stream.
+//! Tests observations and scans as a stream sends them: the ones taken, skipped and refused, and the errors that end
+//! the stream.
 
 use tidemap_proto::{
     convert::{columns::encode, observe::observations_from_wire, reports::reports_from_wire, scans::scans_from_wire},
@@ -8,7 +9,7 @@ use tidemap_proto::{
 use super::*;
 use crate::ingest::protocol::ReportBatch;
 
-/// Takes messages as they come from the wire.
+/// Takes messages in the form of the wire.
 pub(crate) trait TakeSent {
     fn take_sent(&mut self, batch: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError>;
     fn begin_sent_scans(&mut self, batch: v1::ScanBatch) -> Result<bool, IntakeError>;
@@ -76,7 +77,7 @@ fn known_numbers_with_other_content_end_the_stream() {
         vec![mark(&before), mark(&after)]
     };
     let again = || Intake::new(4, after.span.content_crc, limits(9, 9), None).with_known_content(marks());
-    // Equal content is accepted in any parts, and with new observations behind it.
+    // Equal content is accepted in any division into parts, and with new observations behind it.
     for parts in [&[4][..], &[2, 2], &[1, 3], &[1, 1, 1, 1]] {
         let (mut stream, mut next) = (again(), 1);
         for &part in parts {
@@ -87,7 +88,7 @@ fn known_numbers_with_other_content_end_the_stream() {
     }
     let more = again().take_sent(values(3, &[0.25, 0.5, 1.0])).expect("fine").expect("new");
     assert_eq!((more.span.first, more.span.last), (5, 5));
-    // Any other value, time or name is found where the CRC is known next.
+    // A different value, time or name is found at the next known CRC.
     let differs = |first, last| IntakeError::DataMismatch { first, last, next: 5 };
     assert_eq!(again().take_sent(values(1, &[0.0, 0.5, 0.25, 0.5])).expect_err("other"), differs(1, 2));
     assert_eq!(again().take_sent(values(3, &[0.25, 1.0, 0.0])).expect_err("other"), differs(3, 4));
@@ -97,9 +98,9 @@ fn known_numbers_with_other_content_end_the_stream() {
     let mut parts = again();
     parts.take_sent(values(3, &[0.5])).expect("not known yet");
     assert_eq!(parts.take_sent(values(4, &[0.5])).expect_err("other"), differs(3, 4));
-    // In the same stream as well.
+    // This also holds within the same stream.
     assert_eq!(first.take_sent(values(3, &[0.0, 0.5])).expect_err("other"), differs(3, 4));
-    // What begins where no CRC is known is skipped as before.
+    // A repetition that begins where no CRC is known is skipped as before.
     assert!(again().take_sent(values(2, &[0.5])).is_ok());
 }
 
@@ -131,7 +132,7 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
     say_kinds(&mut sent, &[v1::StateKind::Probability; 2]);
     let batch = intake.take_sent(sent).expect("fine").expect("new");
     assert_eq!(batch.span.last, 17);
-    // NaN may be a row without a value: whether it is, the state says.
+    // A NaN may be a row without a value; this depends on the state.
     assert_eq!(batch.kept, [0, 1]);
     assert_eq!((batch.values[0], batch.values[1].is_nan(), batch.values.len()), (0.5, true, 2));
     let reasons: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
@@ -221,7 +222,7 @@ fn limits_are_errors_and_nothing_is_taken() {
 #[test]
 fn the_bytes_of_a_table_are_bounded() {
     let mut intake = intake();
-    // Too long to be valid, but kept.
+    // The name is too long to be valid, but it is kept.
     let long = "x".repeat(TABLE_BYTES_MIN / 2);
     for sequence in 1..=2 {
         let batch = intake.take_sent(message(sequence, &[&long], &[0], &[0], &[0.0])).expect("fine").expect("new");
@@ -321,17 +322,17 @@ fn positions_are_taken_whole_or_refused_whole() {
     }
     assert_eq!(batch.span.content_crc, crc32c::crc32c(&bytes));
 
-    // What was taken before is skipped with its coordinates; its names are known.
+    // Observations that were taken before are skipped with their coordinates; their names are known.
     let mut again = message(4, &[], &[0, 0], &[4, 5], &[0.0; 2]);
     again.observations.as_mut().expect("there are some").coordinates = vec![0.25, f64::NAN, 3.0, 4.0];
     let batch = first.take_sent(again).expect("fine").expect("new");
     assert_eq!(batch.positions, [(0, Position::of(&[3.0, 4.0]).expect("two"))]);
-    // Too few coordinates, too many, or those of names that are not vectors.
+    // The message has too few coordinates, too many, or coordinates of names that are not vectors.
     for wrong in [&coordinates[1..], &coordinates[..6], &[coordinates.as_slice(), &[0.0]].concat(), &[]] {
         let error = intake().take_sent(sent(1, wrong)).expect_err("malformed");
         assert!(matches!(&error, IntakeError::Invalid(field) if field.field == "observations.coordinates"), "{error}");
     }
-    // Seven coordinates and a value are eight observations.
+    // Seven coordinates and a value count as eight observations.
     let error = Intake::new(0, 0, limits(7, 3), None).take_sent(sent(1, &coordinates)).expect_err("too many");
     assert!(matches!(error, IntakeError::Limit(OverLimit { got: Some(8), max: 7, .. })), "{error}");
 }

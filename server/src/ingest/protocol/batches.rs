@@ -1,6 +1,6 @@
-//! What a stream hands to its map's writer: checked observations, scans and reports of a message.
+//! The data that a stream hands to its map's writer: checked observations, scans and reports of a message.
 //!
-//! Invariant: what is refused still uses up its sequence number.
+//! Invariant: a refused observation still uses up its sequence number.
 
 use std::sync::Arc;
 
@@ -28,11 +28,11 @@ pub(crate) struct RefusedObservation {
 /// A name of a stream's table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NewName {
-    /// Of an observation of a label: the name of the label's state.
+    /// The name; for an observation of a label, the name of the label's state.
     pub name: StateName,
     /// The shape that the message declares for the state; `None`: not declared.
     pub shape: Option<StateShape>,
-    /// What the stream says about how it is reported.
+    /// The reporting of the state that the stream has stated.
     pub reporting: Option<StatedReporting>,
 }
 
@@ -46,18 +46,18 @@ impl From<StateName> for NewName {
 /// Checked observations of one message, with their states as indices into the stream's table.
 #[derive(Debug, Default)]
 pub(crate) struct ObservationBatch {
-    /// What is new of the message; may be empty.
+    /// The new sequence numbers of the message; may be empty.
     pub span: SequenceSpan,
     /// Names added to the stream's table since the last batch; an invalid name keeps its index.
     pub new_names: Vec<Option<NewName>>,
-    /// Per accepted observation: sequence number minus the first one of `span`. Empty if all were accepted.
+    /// For each accepted observation: its sequence number minus the first one of `span`. Empty if all were accepted.
     pub kept: Vec<u32>,
-    /// Per accepted observation: index into the stream's table; its name is valid.
+    /// For each accepted observation: the index into the stream's table; its name is valid.
     pub table_indices: Vec<u32>,
-    /// Per accepted observation: nanoseconds UTC.
+    /// For each accepted observation: its time, nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; NaN of a state
-    /// that may report changes or events; 0 for a position and for shares.
+    /// For each accepted observation: a value that the declared kind allows, or that any kind allows if none is
+    /// declared; NaN for a state that may report changes or events; 0 for a position and for shares.
     pub values: Vec<f64>,
     /// The positions, ascending, each with the index of its observation among the accepted ones, and with the declared
     /// number of coordinates.
@@ -68,7 +68,7 @@ pub(crate) struct ObservationBatch {
     pub refused: Vec<RefusedObservation>,
 }
 
-/// Which of a stream's two tables of tiles a scan refers to.
+/// The table of tiles to which a scan refers: a stream has two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum ScanOrigin {
     /// The table that the client extends.
@@ -81,16 +81,16 @@ pub(crate) enum ScanOrigin {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CheckedScan {
     pub sequence: u64,
-    /// Running CRC up to it.
+    /// Running CRC up to this scan.
     pub content_crc: u32,
-    /// The table that its slots refer to.
+    /// The table to which the slots of the scan refer.
     pub origin: ScanOrigin,
-    /// Whether it is logged. Other scans are only remembered, because later ones refer to them.
+    /// Whether the scan is logged. Other scans are only remembered, because later ones refer to them.
     pub is_taken: bool,
     pub scan: StreamScan,
     /// Tiles added to the table before this scan.
     pub new_tiles: Vec<TileIndex>,
-    /// Whether the table restarts before that.
+    /// Whether the table restarts before these tiles.
     pub restarts: bool,
 }
 
@@ -112,18 +112,18 @@ pub(crate) struct ScanBatch {
     pub new_tiles: Vec<TileIndex>,
     /// The scans, in order.
     pub scans: Vec<CheckedScan>,
-    /// The cells that they are pictures of, within those that the grid may have; empty if they do not say.
+    /// The cells that the scans show, within those that the grid may have; empty if the scans do not state them.
     pub shown: CellBox,
     /// The refused scans among the new ones.
     pub refused: Vec<RefusedObservation>,
-    /// Memory of the batch, about.
+    /// Memory of the batch, approximately.
     pub bytes: usize,
 }
 
 /// Checked reports of one message.
 #[derive(Debug, Default)]
 pub(crate) struct ReportBatch {
-    /// What is new of the message; not empty.
+    /// The new sequence numbers of the message; not empty.
     pub span: SequenceSpan,
     /// The valid reports with their sequence numbers. The map's writer checks whether edges and landmarks exist.
     pub reports: Vec<(u64, Report)>,

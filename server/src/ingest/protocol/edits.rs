@@ -1,6 +1,6 @@
-//! The changes of a map that are asked for outside of streams: new states, and edits of the site.
+//! The changes of a map that are requested outside of streams: new states, and edits of the site.
 //!
-//! Invariant: the answer comes after the change is durable and published.
+//! Invariant: the reply is sent after the change is durable and published.
 
 use tidemap_map::{
     event::{Reporting, StateSensor, StateShape, StatedReporting},
@@ -17,13 +17,13 @@ use crate::ingest::role::NotWriter;
 #[derive(Debug)]
 pub(crate) struct AddState {
     pub state: DeclaredState,
-    /// The client that asks, as shares name it; empty if it has no share of its own.
+    /// The client that sends the request, by its name in the shares; empty if it has no share of its own.
     pub client: String,
-    /// The answer, after the state is durable and published.
+    /// The reply, sent after the state is durable and published.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
 
-/// Why a map has no room for another state, or for other tiles.
+/// The reason why a map has no room for another state, or for other tiles.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NoRoom {
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
@@ -71,9 +71,9 @@ pub(crate) enum AddStateError {
 #[derive(Debug)]
 pub(crate) struct ForgetProducers {
     pub producer: String,
-    /// `None`: all labels.
+    /// The label of the producers; `None`: all labels.
     pub label: Option<String>,
-    /// The answer, after it is durable: how many keys have given their places up.
+    /// The reply, sent after the change is durable: the number of keys that have given their places up.
     pub reply: oneshot::Sender<Result<u64, ForgetError>>,
 }
 
@@ -102,7 +102,7 @@ pub(crate) enum ForgetError {
 #[derive(Debug)]
 pub(crate) struct EditSite {
     pub edit: SiteEdit,
-    /// The answer, after the edit is durable and published.
+    /// The reply, sent after the edit is durable and published.
     pub reply: oneshot::Sender<Result<(), EditSiteError>>,
 }
 

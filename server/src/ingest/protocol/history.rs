@@ -1,6 +1,6 @@
-//! The questions for the observations that are not in the store's history yet.
+//! The requests for observations that are not in the store's history yet.
 //!
-//! Invariant: an answer is bounded by what was asked for.
+//! Invariant: a reply is bounded by its request.
 
 use std::sync::Arc;
 
@@ -10,27 +10,27 @@ use tidemap_map::{
 };
 use tokio::sync::oneshot;
 
-/// A request for what was observed and is not in the store's history yet.
+/// A request for observations that are not in the store's history yet.
 #[derive(Debug)]
 pub(crate) struct ReadHistory {
     /// The state or cell.
     pub subject: Subject,
     /// First instant, nanoseconds UTC.
     pub from_nanos: i64,
-    /// Beyond the last instant.
+    /// End of the interval, after the last instant, nanoseconds UTC.
     pub to_nanos: i64,
     /// Maximum number of pending observations to return.
     pub at_most: usize,
-    /// The answer; it waits while an update has observations of that time.
+    /// The reply; it waits while an update has observations of that time.
     pub reply: oneshot::Sender<HistoryTail>,
 }
 
 /// The observations that are not in the store's history yet.
 #[derive(Debug)]
 pub(crate) struct HistoryTail {
-    /// Those that no update has learned.
+    /// The observations that no update has learned.
     pub pending: Vec<Reading>,
-    /// Those that updates have learned and no save has stored.
+    /// The observations that updates have learned and no save has stored.
     pub unsaved: Vec<Arc<HistoryPiece>>,
     /// Generations before this one are in the store's history.
     pub stored_before: u64,
@@ -38,22 +38,22 @@ pub(crate) struct HistoryTail {
     pub newest_nanos: i64,
 }
 
-/// A request for an extract of what the next update could learn.
+/// A request for an extract of the data that the next update could learn.
 #[derive(Debug)]
 pub(crate) struct ReadPending {
-    /// Maximum number of states: those with the largest numbers of pending observations.
+    /// Maximum number of states. The states with the largest numbers of pending observations are selected.
     pub states_max: usize,
-    /// Maximum number of observations of each.
+    /// Maximum number of observations of each state.
     pub readings_max: usize,
-    /// The answer.
+    /// The reply.
     pub reply: oneshot::Sender<PendingExtract>,
 }
 
-/// Some of what the next update could learn.
+/// An extract of the data that the next update could learn.
 #[derive(Debug)]
 pub(crate) struct PendingExtract {
-    /// Updates published before.
+    /// Number of the generation: the updates published before.
     pub generation: u64,
-    /// By state, ascending.
+    /// The readings by state, ascending.
     pub states: Vec<(StateId, Vec<Reading>)>,
 }

@@ -1,4 +1,4 @@
-//! The messages between a stream and its map's writer: the stream opens, hands over, is acknowledged and ends.
+//! The messages between a stream and its map's writer: the stream opens, hands data over, is acknowledged and ends.
 //!
 //! Invariant: a batch holds its buffer budget until it is durable and applied, and the messages back to a stream are
 //! bounded by what it sent.
@@ -19,13 +19,13 @@ pub(crate) struct SessionId(pub u64);
 #[derive(Debug)]
 pub(crate) struct Hello {
     pub key: ProducerKey,
-    /// 0: a new incarnation is requested.
+    /// The requested incarnation; 0: a new one.
     pub incarnation: u64,
-    /// The client, as shares count it; empty: it has no share of its own.
+    /// The client, by its name in the shares; empty: it has no share of its own.
     pub client: String,
-    /// How to ask this stream's client whether it is still there, if it answers.
+    /// The probe of this stream's client, if the client replies to probes.
     pub probe: Option<Probe>,
-    /// The stream of the key that did not answer; this one takes over.
+    /// The stream of the key that did not reply; this one takes over.
     pub takes_over: Option<SessionId>,
     /// Whether the stream announces data time.
     pub nightly: bool,
@@ -36,16 +36,16 @@ pub(crate) struct Hello {
     pub reply: oneshot::Sender<Result<Welcome, HelloError>>,
 }
 
-/// The answer to an accepted stream.
+/// The reply to an accepted stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Welcome {
     pub session: SessionId,
     pub incarnation: u64,
-    /// Everything up to this sequence number is durable.
+    /// All observations up to this sequence number are durable.
     pub durable_sequence: u64,
-    /// Running CRC up to it.
+    /// Running CRC up to the durable sequence number.
     pub content_crc: u32,
-    /// Running CRCs that are known, ascending, up to it.
+    /// Known running CRCs up to the durable sequence number, ascending.
     pub content_marks: Vec<ContentMark>,
 }
 
@@ -57,7 +57,7 @@ pub(crate) enum HelloError {
     )]
     AlreadyStreaming {
         key: ProducerKey,
-        /// The stream, and how to ask its client.
+        /// The open stream, and the probe of its client.
         open: Option<(SessionId, Probe)>,
     },
     #[error("incarnation {got} of producer {:?} is fenced: incarnation {current} was seen", key.producer())]
@@ -94,10 +94,10 @@ pub(crate) enum HelloError {
 /// A message from a writer to a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum SessionEvent {
-    /// Everything up to the sequence number is durable.
+    /// All observations up to the sequence number are durable.
     Ack {
         durable_sequence: u64,
-        /// Refused since the last acknowledgement.
+        /// The observations refused since the last acknowledgement.
         refused: Vec<RefusedObservation>,
     },
     /// The stream ends.
@@ -107,7 +107,7 @@ pub(crate) enum SessionEvent {
 /// Room in the buffers of a stream, its client, its map and all streams; dropping it gives it back.
 pub(crate) type BufferBudget = Vec<OwnedSemaphorePermit>;
 
-/// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
+/// The data that a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
 #[derive(Debug)]
 pub(crate) enum StreamData {
     /// Checked observations.

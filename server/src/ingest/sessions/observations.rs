@@ -1,7 +1,7 @@
 //! Converts batches of observations to events.
 //!
-//! Invariant: each number of an event is of a state of the map, or of one that the event adds; a position and an angle
-//! are taken with all of their numbers.
+//! Invariant: each number of an event belongs to a state of the map, or to a state that the event adds; a position and
+//! an angle are taken with all of their numbers.
 
 use std::borrow::Cow;
 
@@ -88,7 +88,7 @@ impl Sessions {
     }
 }
 
-/// The numbers of the states of an observation that is one value.
+/// The numbers that the states get from an observation of one value.
 fn numbers_of<'a>(observed: &ObservedState, value: &'a [f64]) -> Cow<'a, [f64]> {
     match (observed.shape, observed.held, value) {
         (StateShape::Angle, _, &[angle_rad]) => Cow::from(cos_sin(angle_rad).to_vec()),
@@ -100,7 +100,7 @@ fn numbers_of<'a>(observed: &ObservedState, value: &'a [f64]) -> Cow<'a, [f64]> 
     }
 }
 
-/// The refusal of an observation whose time is in the future, when no more may wait.
+/// The refusal of an observation whose time is in the future, when no more such observations may wait.
 pub(super) fn too_far_ahead(time_nanos: i64, max: u64) -> String {
     format!(
         "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {max} observations wait for their \

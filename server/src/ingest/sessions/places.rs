@@ -1,15 +1,15 @@
-//! The places of a map that are taken for ever, those of states and of tiles, and the part of them that one client
-//! takes.
+//! The places of a map that are taken for ever, which are those of states and of tiles, and the part of them that one
+//! client takes.
 //!
-//! Invariant: since the daemon opened the map, one client adds at most half of what was free then. So whatever one
-//! client does, there is room for another. What could not be written counts for nobody. Programs of the daemon's own
-//! machine without a token have no share of their own: their name is empty.
+//! Invariant: since the daemon opened the map, one client adds at most half of the places that were free then. So there
+//! is always room for another client. Places of events that could not be written count for nobody. Programs of the
+//! daemon's own machine without a token have no share of their own: their name is empty.
 
 use std::collections::HashMap;
 
 use super::super::protocol::NoRoom;
 
-/// What has places.
+/// The kind of a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PlaceKind {
     States,
@@ -21,14 +21,15 @@ pub(super) enum PlaceKind {
 pub(super) struct Places {
     kind: PlaceKind,
     max: usize,
-    /// How much one client may add; known once somebody wants to add something.
+    /// Number of places that one client may add; known after the first addition.
     share: Option<usize>,
-    /// Places that each client has taken: durable, and of events that are not written yet.
+    /// Number of places that each client has taken with applied events.
     added: HashMap<String, usize>,
+    /// Number of places that each client has taken with events that are not written yet.
     in_flight: HashMap<String, usize>,
 }
 
-/// How many places a client may take now, and why no more.
+/// The number of places that a client may take now, and the reason why it may take no more.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Room {
     free: usize,
@@ -37,17 +38,17 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// How many places are left.
+    /// Number of places that are left.
     pub(super) fn left(&self) -> usize {
         self.free - self.taken
     }
 
-    /// Why there are no more.
+    /// The reason why there are no more places.
     pub(super) fn full(&self) -> NoRoom {
         self.full.clone()
     }
 
-    /// How many places were taken of it.
+    /// Number of places that were taken of this room.
     pub(super) fn taken(&self) -> usize {
         self.taken
     }
@@ -55,7 +56,7 @@ impl Room {
     /// Takes places.
     ///
     /// # Errors
-    /// There are not so many; none is taken.
+    /// There are too few; then none is taken.
     pub(super) fn take(&mut self, count: usize) -> Result<(), NoRoom> {
         if count > self.left() {
             return Err(self.full());
@@ -70,7 +71,7 @@ impl Places {
         Self { kind, max, share: None, added: HashMap::new(), in_flight: HashMap::new() }
     }
 
-    /// The room that a client has in a map with so many places in use.
+    /// The room of a client in a map with `used` places in use.
     pub(super) fn room(&mut self, client: &str, used: usize) -> Room {
         let free = self.max.saturating_sub(used);
         let share = *self.share.get_or_insert(free.div_ceil(2));
@@ -121,7 +122,8 @@ impl Places {
 mod tests {
     use super::*;
 
-    /// How many a client gets of a map with so many in use.
+    /// Takes all places that a client gets in a map with `used` places in use; returns their number, and the reason why
+    /// there are no more.
     fn fill(places: &mut Places, client: &str, used: &mut usize) -> (usize, NoRoom) {
         for count in 0.. {
             let mut room = places.room(client, *used);

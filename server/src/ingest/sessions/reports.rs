@@ -1,8 +1,8 @@
-//! Makes an event of reports: the observations of their states.
+//! Converts reports to an event with the observations of their states.
 //!
 //! A report is one observation on the wire, with one sequence number. For the map it is one or more observations of
-//! ordinary states ([`Report::samples`]). The event holds states and values, so that a replay needs no topology.
-//! Failures and runs of tasks come with the event, and the site keeps the last ones.
+//! ordinary states ([`Report::samples`]). The event contains states and values, so that a replay needs no topology. The
+//! event also contains failures and runs of tasks, and the site keeps the last ones.
 //!
 //! Invariant: a report is taken with all of its observations, in one event, or not at all. Its meaning depends on the
 //! site; the writer makes no event of reports while an edit of the site is in flight.
@@ -24,7 +24,8 @@ use super::{
     states::{Refusal, StateAllocator},
 };
 
-/// Bytes of the observations of one event, with the names of their states: a record of the log has at most 16 MiB.
+/// Maximum bytes of the observations of one event, with the names of their states: a record of the log has at most 16
+/// MiB.
 const EVENT_BYTES_MAX: usize = 12 << 20;
 
 impl Sessions {

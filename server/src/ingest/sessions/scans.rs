@@ -1,7 +1,7 @@
 //! Converts scans to events: flips against the last scan of each tile in the order of the log.
 //!
-//! Invariant: an event is at most 16 MiB, which the log accepts, whatever the streams show; the scans of one batch are
-//! spread over several events if needed, in their order.
+//! Invariant: an event is at most 16 MiB, which the log accepts, for any content of the streams; the scans of one batch
+//! are spread over several events if needed, in their order.
 
 use tidemap_grid::{
     index::{CellBox, TileIndex},
@@ -20,12 +20,12 @@ use super::{
     Session, Sessions, StreamEvent,
 };
 
-/// Maximum number of bits that one scan flips, without those of tiles that are observed again as a whole: 2 bytes each,
-/// because that many are close to each other.
+/// Maximum number of bits that one scan flips, not counting the tiles that are observed again as a whole. A flip takes
+/// 2 bytes, because so many flips are close to each other.
 const FLIPS_MAX: u64 = 8_000_000;
-/// An event whose scans flip this many bits is complete: 5 bytes each, however far apart they are.
+/// Number of flipped bits at which an event is complete. A flip takes at most 5 bytes, for any distance between flips.
 const EVENT_FLIPS: u64 = 1_000_000;
-/// An event whose scans see this many tiles in total is complete.
+/// Total number of tiles that the scans of an event see at which it is complete.
 const EVENT_TILES: u64 = 500_000;
 /// A scan of fewer tiles cannot exceed [`FLIPS_MAX`].
 const TILES_UNCOUNTED: usize = (FLIPS_MAX / 1024) as usize;
@@ -109,8 +109,8 @@ impl Sessions {
         events
     }
 
-    /// Takes one scan; gives what to log, and how many of its tiles wait for their time; `None` if it is only
-    /// remembered.
+    /// Takes one scan; returns the scan to log, and the number of its tiles that wait for their time; `None` if the
+    /// scan is only remembered.
     fn take(
         &mut self,
         id: SessionId,

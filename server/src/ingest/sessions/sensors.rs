@@ -1,7 +1,7 @@
 //! The sensor of a stream's scans.
 //!
-//! Invariant: a key keeps the sensor of its first event. Announced sensors that are not durable yet are counted too, so
-//! that the map always has a number for the sensor of an event.
+//! Invariant: a key keeps the sensor of its first event. Announced sensors that are not durable yet are also counted,
+//! so that the map always has a number for the sensor of an event.
 
 use tidemap_grid::sensors::ProducerSensor;
 use tidemap_map::live_map::LiveMap;
@@ -18,7 +18,7 @@ impl Sessions {
         let Some(announced) = hello.sensor else { return Ok(fixed.flatten()) };
         let grid = map.grid().ok_or(HelloError::SensorWithoutGrid)?;
         let Some(fixed) = fixed else {
-            // Announced by others, and possibly durable before this one.
+            // Sensors that other streams have announced, which may become durable before this one.
             let others = self.sessions.values().filter_map(|session| session.sensor);
             return Ok(grid.may_have(announced, others)?);
         };

@@ -1,7 +1,7 @@
-//! The states of a map, with their kinds, after everything in flight is applied.
+//! The states of a map, with their kinds, after all events in flight are applied.
 //!
-//! Invariant: a state in flight keeps its number and its kind: the next stream that names it gets the same. A vector or
-//! an angle is in flight as all its axes.
+//! Invariant: a state in flight keeps its number and its kind: the next stream that names it gets the same number and
+//! kind. A vector or an angle is in flight with all its axes.
 
 use std::collections::HashMap;
 
@@ -24,19 +24,19 @@ use super::{
     states_in_flight::{KnownState, StatesInFlight},
 };
 
-/// Why an observation is refused, for programs and for people.
+/// The reason why an observation is refused, for programs and for people.
 pub(super) type Refusal = (RefusalReason, String);
 
-/// The state of a name of a stream's table.
+/// The state for a name in a stream's table.
 #[derive(Debug)]
 pub(super) enum StreamState {
-    /// A state of the map, or of a batch in flight; for a vector its first axis.
+    /// A state of the map, or of a batch in flight; for a vector, its first axis.
     State(StateId, StateShape, Reporting),
-    /// A label of a categorical state: the first label, how many there are, and the one that is observed.
+    /// A label of a categorical state: the first label, the number of labels, and the observed label.
     Label(StateId, u8, StateId),
     /// A state whose shape differs from the declared one: its shape, and the declared one.
     OtherShape(StateName, StateShape, Option<StateShape>),
-    /// A state that is reported otherwise than the stream says.
+    /// A state whose reporting differs from the one that the stream has stated.
     OtherReporting(StateName, Reporting, StatedReporting),
     /// A name that no observation has used yet.
     Unused(NewName),
@@ -53,8 +53,9 @@ pub(super) struct StateAllocator<'a> {
 }
 
 impl StreamState {
-    /// The state of an observation with this value, or the first axis or label, with its shape, and of a label the one
-    /// that holds; it may be new. `has_parts`: it is a position, or shares. `Err(None)`: intake has refused it already.
+    /// The state of an observation with this value, or its first axis or label, with its shape. For a label, also the
+    /// state of the label that holds; it may be new. `has_parts`: the observation is a position, or shares.
+    /// `Err(None)`: intake has refused it already.
     pub(super) fn state_for(
         &mut self,
         value: f64,
@@ -66,7 +67,8 @@ impl StreamState {
             *self = used(name, value, allocator, new_states)?;
         }
         match self {
-            // Intake passes a position only if a vector was declared, and shares if a categorical state was.
+            // Intake passes a position only if a vector was declared, and shares only if a categorical state was
+            // declared.
             StreamState::State(state, shape @ (StateShape::Vector(_) | StateShape::Categorical(_)), _) if has_parts => {
                 Ok(ObservedState { first: *state, shape: *shape, held: None })
             }
@@ -92,7 +94,7 @@ pub(super) struct ObservedState {
     /// The state, or its first axis or label.
     pub(super) first: StateId,
     pub(super) shape: StateShape,
-    /// Of an observation of a label: the state of the label.
+    /// For an observation of a label: the state of the label.
     pub(super) held: Option<StateId>,
 }
 
@@ -135,7 +137,7 @@ fn used(
     let shape = said.unwrap_or(usual);
     let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
     match allocator.known(name) {
-        // A name without a declared shape has single values.
+        // A name without a declared shape has observations of single values.
         Some(KnownState { id, shape: found, reporting, .. })
             if *said == Some(found) || (said.is_none() && found.is_single()) =>
         {
@@ -173,7 +175,7 @@ fn used(
 }
 
 impl StateAllocator<'_> {
-    /// The states of these names and kinds; missing ones are allocated. All of them, or none.
+    /// The states of these names and kinds. Missing states are allocated, all of them or none.
     pub(super) fn states_for(
         &mut self,
         wanted: &[(StateName, StateKind)],
@@ -208,7 +210,7 @@ impl StateAllocator<'_> {
         Ok(states)
     }
 
-    /// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
+    /// A state of the map, or of an event in flight; for a vector or a categorical state, its first axis or label.
     fn known(&self, name: &StateName) -> Option<KnownState> {
         self.in_flight.known(self.map, name)
     }
@@ -252,8 +254,8 @@ fn is_full(name: &StateName, no_room: &NoRoom) -> Refusal {
 }
 
 impl Sessions {
-    /// The event that adds a state; `None` if the map has it with that shape, sensor and reporting. What is not stated
-    /// fits any.
+    /// The event that adds a state; `None` if the map has it with that shape, sensor and reporting. A property that is
+    /// not stated matches any value.
     pub(crate) fn add_state(
         &mut self,
         DeclaredState { name, shape, labels, sensor, reporting: stated }: &DeclaredState,
@@ -302,7 +304,8 @@ impl Sessions {
         }
     }
 
-    /// Reserves the names that an edit will give to states, until [`Sessions::renamed`], including states in flight.
+    /// Reserves the names that an edit will give to states, until [`Sessions::renamed`]. The states include those in
+    /// flight.
     ///
     /// # Errors
     /// A name that is invalid, or that another state has; then none is reserved.
@@ -346,7 +349,7 @@ fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) ->
     (RefusalReason::StateKind, text)
 }
 
-/// The refusal of a state that is reported otherwise than the stream says.
+/// The refusal of a state whose reporting differs from the one that the stream has stated.
 fn other_reporting(name: &StateName, found: Reporting, said: StatedReporting) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
     let text = format!(

@@ -1,7 +1,7 @@
-//! What events that are not written yet will add to the states of a map.
+//! The additions of events that are not written yet to the states of a map.
 //!
-//! Invariant: a state in flight keeps its number, its kind and how it is reported: the next stream that names it gets
-//! the same. A vector, an angle and a categorical state are there as a whole and with each of their states.
+//! Invariant: a state in flight keeps its number, its kind and its reporting: the next stream that names it gets the
+//! same ones. A vector, an angle and a categorical state have an entry as a whole and one for each of their states.
 
 use std::collections::{HashMap, HashSet};
 
@@ -12,7 +12,7 @@ use tidemap_map::{
     name::StateName,
 };
 
-/// What a name in flight is.
+/// The role of a name in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NameRole {
     /// A state of the map.
@@ -23,15 +23,15 @@ enum NameRole {
     Rename,
 }
 
-/// What is known of the state of a name.
+/// The properties of the state of a name.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct KnownState {
-    /// The state; of a vector or a categorical state its first axis or label.
+    /// The state; for a vector or a categorical state, its first axis or label.
     pub id: StateId,
     pub shape: StateShape,
-    /// How it is reported.
+    /// The reporting of the state.
     pub reporting: Reporting,
-    /// The sensor of its readings, if one was stated.
+    /// The sensor of the state's readings, if one was stated.
     pub sensor: Option<StateSensor>,
 }
 
@@ -40,7 +40,7 @@ pub(super) struct KnownState {
 pub(super) struct StatesInFlight {
     names: HashMap<StateName, (KnownState, NameRole)>,
     states: usize,
-    /// Readings a day of the rows of all of them, at most.
+    /// Maximum number of readings a day of the rows of all these states.
     readings_a_day: u64,
 }
 
@@ -50,18 +50,18 @@ impl StatesInFlight {
         self.states
     }
 
-    /// Readings a day of the rows of all of them, at most.
+    /// Maximum number of readings a day of the rows of all these states.
     pub(super) fn readings_a_day(&self) -> u64 {
         self.readings_a_day
     }
 
-    /// The state of a name: of the map, or in flight.
+    /// The state of a name, from the map or in flight.
     pub(super) fn known(&self, map: &LiveMap, name: &StateName) -> Option<KnownState> {
         let Some((id, shape)) = map.shape(name.as_str()) else { return self.names.get(name).map(|(known, _)| *known) };
         Some(KnownState { id, shape, reporting: map.reporting(id), sensor: map.sensor(id) })
     }
 
-    /// The state of the map that a name in flight is, not as a whole.
+    /// The state of the map with a name in flight; not a vector, angle or categorical state as a whole.
     pub(super) fn state(&self, name: &StateName) -> Option<StateId> {
         self.names.get(name).filter(|(_, role)| *role == NameRole::State).map(|(known, _)| known.id)
     }
@@ -72,7 +72,7 @@ impl StatesInFlight {
         states.map(|(name, (known, _))| ((known.id, known.shape.kind()), name))
     }
 
-    /// Adds what an event adds.
+    /// Adds the states that an event adds.
     pub(super) fn add(&mut self, new: &NewState) {
         let NewState { id, shape, reporting, sensor, .. } = *new;
         let known = KnownState { id, shape, reporting, sensor };
@@ -86,7 +86,7 @@ impl StatesInFlight {
         self.readings_a_day = self.readings_a_day.saturating_add(reporting.readings_a_day());
     }
 
-    /// Removes what an event has added to the map. Gives the number of states.
+    /// Removes the states that an event has added to the map. Returns the number of states.
     pub(super) fn remove(&mut self, new: &NewState) -> usize {
         let mut removed = 0;
         for (_, name, _) in new.states() {
@@ -117,7 +117,7 @@ impl StatesInFlight {
         self.names.retain(|_, (_, role)| *role != NameRole::Rename);
     }
 
-    /// Nothing in flight was written.
+    /// Forgets all states in flight, because none of their events was written.
     pub(super) fn clear(&mut self) {
         *self = Self::default();
     }

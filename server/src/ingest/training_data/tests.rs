@@ -1,4 +1,4 @@
-//! Readings are the same, whether they come from files or from memory.
+//! Tests that readings are the same, whether they come from files or from memory.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ fn spec() -> MapSpec {
     MapSpec::new(MapName::new("office").expect("valid"))
 }
 
-/// What six updates have learned: two states, with equal times and some late observations.
+/// The history that six updates have learned: two states, with equal times and some late observations.
 fn pieces() -> Vec<Arc<HistoryPiece>> {
     let sample = |hour: i64, value: f64| Sample { utc_nanos: hour * HOUR, offset_secs: 0, value };
     let piece = |generation: u64| {
@@ -81,7 +81,7 @@ fn what_is_given_does_not_depend_on_what_was_saved() {
         for files in 0..=6 {
             let folder = tempfile::tempdir().expect("temporary folder");
             let history = saved(folder.path(), &pieces[..files]).history(MapId(1)).expect("known");
-            // What a save has written without the writer knowing is in both.
+            // A piece that a save has written without the writer's knowledge is in both.
             for unsaved in files.saturating_sub(2)..=files {
                 let mut unsaved = pieces[unsaved..].to_vec();
                 unsaved.reverse();

@@ -1,7 +1,7 @@
-//! Appends in flight: handed to the log, then applied when they are durable, or failed together.
+//! Appends in flight: they are handed to the log, then applied when they are durable, or they fail together.
 //!
-//! Invariant: the committer answers in the order of the appends. After one append has failed, every append in flight
-//! fails with it, and no append starts before the last of them is answered.
+//! Invariant: the committer completes the appends in their order. After one append has failed, every append in flight
+//! fails with it, and no append starts before the last of them is completed.
 
 use std::{collections::VecDeque, sync::Arc, time::Instant};
 
@@ -23,13 +23,13 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// No more scans are taken from the backlog while the scans in flight take more memory than this.
+/// Memory of the scans in flight above which no more scans are taken from the backlog.
 const IN_FLIGHT_BYTES_MAX: usize = 64 << 20;
 
-/// Reports to a client what became of its request.
+/// Reports the outcome of a request to its client.
 pub(super) type Reply<E> = oneshot::Sender<Result<(), E>>;
 
-/// An append that the committer has not answered.
+/// An append that the committer has not completed.
 pub(super) enum InFlight {
     /// Observations or scans of a stream.
     Stream {
@@ -41,13 +41,13 @@ pub(super) enum InFlight {
     },
     /// The start of an update.
     UpdateStart { event: Event, job: Arc<UpdateJob> },
-    /// The end of an update, in a log that daemons share.
+    /// The end of an update, in a shared log.
     UpdateDone { event: Event },
     /// A state to add.
     AddState { event: Event, client: String, reply: Reply<AddStateError> },
     /// An edit of the site.
     EditSite { event: Event, reply: Reply<EditSiteError> },
-    /// Producers that give their places up, and how many.
+    /// Producers that give their places up, and their number.
     ForgetProducers { event: Event, count: u64, reply: oneshot::Sender<Result<u64, ForgetError>> },
 }
 
@@ -66,7 +66,7 @@ impl InFlight {
         event
     }
 
-    /// Memory of the scans of the event, in bytes. Everything else is bounded by the buffer budgets.
+    /// Memory of the scans of the event, in bytes. All other data is bounded by the buffer budgets.
     fn bytes(&self) -> usize {
         let Event::Scans(_, event) = self.event() else { return 0 };
         let of_scan = |scan: &LoggedScan| {
@@ -89,15 +89,15 @@ pub(super) struct AppendFailure {
     pub(super) appends: Vec<InFlight>,
 }
 
-/// The appends in flight, and the failure that they are part of, if any.
+/// The appends in flight, and the failure to which they belong, if any.
 pub(super) struct Appends {
     in_flight: VecDeque<InFlight>,
-    /// Memory of the scans in flight, and above which no more are taken.
+    /// Memory of the scans in flight, and the limit above which no more are taken.
     bytes: usize,
     bytes_max: usize,
-    /// Refused by the log because of an earlier failure that is not answered yet.
+    /// Appends that the log has refused because of an earlier failure that is not reported yet.
     failed_behind: Vec<InFlight>,
-    /// The failure, until everything in flight is answered.
+    /// The failure, until all appends in flight are completed.
     failure: Option<AppendError>,
 }
 
@@ -114,21 +114,21 @@ impl Default for Appends {
 }
 
 impl Appends {
-    /// The log has accepted an append.
+    /// Adds an append that the log has accepted.
     pub(super) fn push(&mut self, append: InFlight) {
         self.bytes += append.bytes();
         self.in_flight.push_back(append);
     }
 
-    /// The committer has answered the oldest append.
+    /// Removes the oldest append, which the committer has completed.
     pub(super) fn pop(&mut self) -> Option<InFlight> {
         let append = self.in_flight.pop_front()?;
         self.bytes = self.bytes.saturating_sub(append.bytes());
         Some(append)
     }
 
-    /// An append has failed. `None`: it failed because of an earlier append whose answer is outstanding; it is kept,
-    /// and fails with that append.
+    /// An append has failed. `None`: it failed because of an earlier append whose completion is outstanding; it is
+    /// kept, and fails with that append.
     pub(super) fn fail(&mut self, error: AppendError, append: InFlight) -> Option<AppendFailure> {
         if self.failure.is_none() && error == AppendError::AfterFailure && !self.in_flight.is_empty() {
             self.failed_behind.push(append);
@@ -145,7 +145,7 @@ impl Appends {
         Some(AppendFailure { cause, is_first, is_newly_fatal, appends })
     }
 
-    /// Ends a failure when everything in flight is answered; gives whether it did.
+    /// Ends a failure when all appends in flight are completed; returns whether it did.
     pub(super) fn end_failure(&mut self) -> bool {
         self.in_flight.is_empty() && self.failure.take().is_some()
     }
@@ -169,7 +169,7 @@ impl Appends {
         self.in_flight.iter().any(|append| matches!(append, InFlight::UpdateStart { .. }))
     }
 
-    /// Whether the end of an update is in flight, or fails with what is.
+    /// Whether the end of an update is in flight, or is part of the current failure.
     pub(super) fn is_update_ending(&self) -> bool {
         let mut appends = self.in_flight.iter().chain(&self.failed_behind);
         appends.any(|append| matches!(append, InFlight::UpdateDone { .. }))
@@ -177,17 +177,18 @@ impl Appends {
 }
 
 impl Writer {
-    /// Hands an event to the log; gives whether the log has accepted it.
+    /// Hands an event to the log; returns whether the log has accepted it.
     pub(super) fn append(&mut self, append: InFlight) -> bool {
         let commands = self.commands.clone();
-        // A writer that has stopped does not need the answer.
+        // A writer that has stopped does not need the completion.
         let answer = Box::new(move |result| drop(commands.send(Command::Committed(result))));
         match self.log.append(append.event(), answer) {
             Ok(()) => {
                 self.appends.push(append);
                 true
             }
-            // The event never joined the queue: the committer owes no answer for it. Earlier ones wait for theirs.
+            // The event never joined the queue: the committer sends no completion for it. Earlier appends wait for
+            // theirs.
             Err(error) => {
                 self.append_failed(error, append);
                 false
@@ -195,13 +196,14 @@ impl Writer {
         }
     }
 
-    /// Fails an event that follows one which the log has not accepted; gives that the log has not accepted it.
+    /// Fails an event that follows an event which the log has not accepted; returns `false`, because the log has not
+    /// accepted it.
     pub(super) fn fail_after(&mut self, append: InFlight) -> bool {
         self.append_failed(AppendError::AfterFailure, append);
         false
     }
 
-    /// The committer has answered the oldest append: what is durable is applied, then acknowledged by `publish`.
+    /// The committer has completed the oldest append: a durable event is applied, then acknowledged by `publish`.
     pub(super) fn committed(&mut self, result: Result<u64, AppendError>) {
         let Some(append) = self.appends.pop() else { return };
         match (result, append) {
@@ -244,7 +246,7 @@ impl Writer {
         }
     }
 
-    /// Tells those who watch, and counts, what was applied of a producer.
+    /// Notifies the watchers of the applied observations of a producer, and counts them.
     pub(super) fn tell_applied(&mut self, event: &Event) {
         let Some(envelope) = event.envelope() else { return };
         match event {
@@ -271,7 +273,7 @@ impl Writer {
         let Some(AppendFailure { cause, is_first, is_newly_fatal, appends }) = self.appends.fail(error, append) else {
             return;
         };
-        // Earlier appends that became durable are acknowledged before the streams hear of the end.
+        // Earlier appends that became durable are acknowledged before the streams receive their end.
         self.publish();
         if is_first {
             warn!(map = %self.map.spec().name, error = reason, "the log could not be written: its appends are not acknowledged");
@@ -304,18 +306,18 @@ impl Writer {
                 }
             }
         }
-        // Last, so that streams hear this reason and not that the daemon stops.
+        // This comes last, so that streams receive this reason and not that the daemon stops.
         if is_newly_fatal {
             self.fatal(reason);
         }
     }
 
     pub(super) fn fatal(&self, reason: String) {
-        // The daemon is stopping already if nobody listens.
+        // If nobody listens, the daemon is already stopping.
         let _ = self.context.fatal.send(reason);
     }
 
-    /// Applies a durable event; gives the work of an update that begins.
+    /// Applies a durable event; returns the work of an update that begins.
     ///
     /// # Errors
     /// The map and its log disagree, and the daemon stops.

@@ -1,8 +1,8 @@
-//! The backlog: what streams have handed over and clients have asked for, and what has to wait.
+//! The backlog: the handovers of streams and the requests of clients that have to wait.
 //!
 //! Invariant: the order of the handovers is kept. A handover in the backlog holds its buffer budget and nothing else.
-//! Flips, which may be far larger than the scans that they are computed from, exist only for scans in flight, so that
-//! memory is bounded however long the backlog is.
+//! Flips, which may be far larger than the scans that they are computed from, exist only for scans in flight, so memory
+//! is bounded for any length of the backlog.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -17,7 +17,7 @@ use crate::ingest::{
 #[cfg(test)]
 mod tests;
 
-/// Nothing is taken from the backlog while the pending load exceeds this many times the limit.
+/// Nothing is taken from the backlog while the pending load exceeds this multiple of the limit.
 pub(super) const PENDING_LOAD_MAX: f64 = 2.0;
 
 /// Commands that wait.
@@ -85,12 +85,12 @@ impl Backlog {
 }
 
 impl Writer {
-    /// Takes what a stream hands over, or enqueues it behind earlier handovers.
+    /// Takes the data that a stream hands over, or enqueues it behind earlier handovers.
     pub(super) fn hand_over(&mut self, session: SessionId, data: StreamData) {
         match data {
             // The end of a stream without a backlog need not wait for other streams.
             StreamData::End { clean } if !self.backlog.has(session) => return self.leave(session, clean),
-            // During a stop, and while the log accepts nothing, the stream is informed at once.
+            // During a stop, and while the log accepts nothing, the stream is notified at once.
             data if self.stopping.is_some()
                 || !self.follower.is_writing()
                 || (self.appends.failure().is_some() && self.backlog.is_empty()) =>
@@ -102,8 +102,8 @@ impl Writer {
         self.drain_backlog(false);
     }
 
-    /// Takes handovers from the backlog as long as there is room. `is_idle`: nothing is running that could make room,
-    /// so that one handover is taken anyway.
+    /// Takes handovers from the backlog as long as there is room. `is_idle`: no running work could make room, so one
+    /// handover is taken anyway.
     pub(super) fn drain_backlog(&mut self, mut is_idle: bool) {
         while self.appends.failure().is_none() && self.stopping.is_none() {
             let has_room = is_idle || (self.appends.has_room() && self.pending_load() <= PENDING_LOAD_MAX);
@@ -145,7 +145,7 @@ impl Writer {
         let mut is_accepted = true;
         for StreamEvent { event, refused, tiles_ahead } in events {
             let append = InFlight::Stream { session, event, refused, tiles_ahead, _budget: Arc::clone(&budget) };
-            // An event that follows one which the log has not accepted must not be in the log without it.
+            // An event that follows an event which the log has not accepted must not be in the log without it.
             is_accepted = if is_accepted { self.append(append) } else { self.fail_after(append) };
         }
     }

@@ -1,6 +1,6 @@
-//! What clients add to the map or edit: states before anything is observed of them, and the site.
+//! The additions and edits of clients: states before their first observation, and the site.
 //!
-//! Invariant: a client is answered when its change is durable and the view shows it, also where another client has
+//! Invariant: a client gets its reply when its change is durable and the view shows it, also where another client has
 //! added the state. At most one edit of the site is in flight, so that the next is checked against its result.
 
 use std::collections::VecDeque;
@@ -17,18 +17,18 @@ use crate::ingest::protocol::{AddState, AddStateError, EditSite, EditSiteError, 
 #[cfg(test)]
 mod tests;
 
-/// Requests that are not answered.
+/// Requests without a reply yet.
 #[derive(Debug, Default)]
 pub(super) struct Edits {
     /// Additions of states that are in flight for another client.
     waiting_states: Vec<AddState>,
-    /// Answers for states that are durable and not public yet.
+    /// Replies for states that are durable and not public yet.
     added: Vec<Reply<AddStateError>>,
     waiting_edits: VecDeque<EditSite>,
     is_in_flight: bool,
-    /// Answers for edits that are durable and not public yet.
+    /// Replies for edits that are durable and not public yet.
     edited: Vec<Reply<EditSiteError>>,
-    /// Answers for producers whose places are durably free, and not public yet, each with their number.
+    /// Replies for producers whose places are durably free, and not public yet, each with the number of places.
     forgotten: Vec<(u64, oneshot::Sender<Result<u64, ForgetError>>)>,
 }
 
@@ -51,7 +51,7 @@ impl Edits {
         None
     }
 
-    /// Answers the clients whose changes are public now.
+    /// Sends the replies to the clients whose changes are public now.
     pub(super) fn published(&mut self) {
         // A client may have gone away.
         for reply in self.added.drain(..) {
@@ -85,7 +85,7 @@ impl Writer {
                 self.append(InFlight::AddState { event: Event::AddState(new), client: add.client, reply: add.reply });
             }
             Ok(None) if self.map.shape(add.state.name.as_str()).is_some() => self.edits.added.push(add.reply),
-            // In flight for another client, and the append may fail.
+            // The state is in flight for another client, and that append may fail.
             Ok(None) => self.edits.waiting_states.push(add),
             // The client may have gone away.
             Err(error) => drop(add.reply.send(Err(error))),
@@ -107,7 +107,7 @@ impl Writer {
         }
     }
 
-    /// Hands to the log that producers give their places up.
+    /// Hands to the log the event that producers give their places up.
     pub(super) fn forget_producers(&mut self, forget: ForgetProducers) {
         let found = if self.stopping.is_some() {
             Err(ForgetError::Closing)

@@ -1,11 +1,11 @@
-//! The map of a log that daemons share: events that another daemon has appended are applied, and the roles change.
+//! The map of a shared log: events that another daemon has appended are applied, and the roles change.
 //!
-//! What the replica tells is done in its order. It waits, and with it what follows, while appends of this daemon are
-//! not answered, and at the start of an update while the update before runs. The replica tells no more events before
-//! those that it has told are applied and public, so that little waits.
+//! The events of the replica are processed in their order. An event waits, and the events behind it wait, while appends
+//! of this daemon are not completed. The start of an update also waits while the update before it runs. The replica
+//! sends no more events before the earlier ones are applied and public, so few events wait.
 //!
-//! Invariant: only what is in the log is applied, so that the map stays as it is when its role changes. As a follower
-//! the map takes nothing from clients and begins no update by itself.
+//! Invariant: only events in the log are applied, so the map stays as it is when its role changes. As a follower, the
+//! map accepts nothing from clients and begins no update by itself.
 
 use std::collections::VecDeque;
 
@@ -24,7 +24,7 @@ use crate::ingest::{
 /// A map whose own log has records that the shared log does not have.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ForkedMap {
-    /// Its number in the store.
+    /// Number of the map in the store.
     pub id: MapId,
     /// The name of the map.
     pub map: MapName,
@@ -38,19 +38,19 @@ struct FollowedBatch {
     applied: oneshot::Sender<()>,
 }
 
-/// The role of the daemon, and what its replica has told and is not done.
+/// The role of the daemon, and the events of its replica that are not processed yet.
 pub(super) struct Follower {
     role: watch::Sender<MapRole>,
     queue: VecDeque<ReplicaEvent>,
     batch: Option<FollowedBatch>,
-    /// To be answered when the view shows what was applied.
+    /// Notified when the view shows the applied events.
     applied: Vec<oneshot::Sender<()>>,
-    /// Where the own log and the shared one part, if they do.
+    /// The position at which the own log and the shared one diverge, if they do.
     fork: Option<u64>,
 }
 
 impl Follower {
-    /// `is_shared`: daemons share the log; then this one writes it only when the replica says so.
+    /// `is_shared`: the log is shared; then this daemon writes it only when the replica orders it.
     pub(super) fn new(role: watch::Sender<MapRole>, is_shared: bool) -> Self {
         role.send_replace(MapRole::at_first(is_shared));
         Self { role, queue: VecDeque::new(), batch: None, applied: Vec::new(), fork: None }
@@ -72,14 +72,14 @@ impl Follower {
         self.fork
     }
 
-    /// The log says who writes it from here on.
+    /// The log names its writer from here on.
     fn name_writer(&self, writer: String) {
         if !self.is_writing() {
             self.role.send_replace(MapRole::Following { writer: Some(writer) });
         }
     }
 
-    /// The view shows everything that was applied.
+    /// Notifies the replica that the view shows all applied events.
     pub(super) fn published(&mut self) {
         for applied in self.applied.drain(..) {
             // The replica may have stopped.
@@ -89,29 +89,29 @@ impl Follower {
 }
 
 impl Writer {
-    /// Why the map takes nothing from clients because another daemon writes it; `None`: that is not so.
+    /// The reason why the map accepts nothing from clients, if another daemon writes it; `None`: this daemon writes it.
     pub(super) fn not_writer(&self) -> Option<NotWriter> {
         let map = &self.map.spec().name;
         let refused = self.follower.role.borrow().not_writer(map);
         refused.or_else(|| match self.appends.failure() {
-            // The log knows it before the replica has told.
+            // The log has this state before the replica has sent it.
             Some(AppendError::NotWriter { writer }) => Some(NotWriter { map: map.clone(), writer: writer.clone() }),
             _ => None,
         })
     }
 
-    /// Why nobody is told how far a sequence is durable; `None`: all of the log is known here. A daemon that was cut
-    /// off does not know yet that another one writes, and what that one has acknowledged.
+    /// The reason why no durable sequence number is sent; `None`: all of the log is known here. A daemon that was cut
+    /// off does not know yet that another one writes, nor the records that that one has acknowledged.
     pub(super) fn not_current(&self) -> Option<NotWriter> {
         (!self.log.is_current()).then(|| NotWriter { map: self.map.spec().name.clone(), writer: None })
     }
 
-    /// Does what the replica has told, as far as it can be done now.
+    /// Processes the events of the replica, as far as is possible now.
     pub(super) fn follow(&mut self) {
         while self.stopping.is_none() && self.follow_next() {}
     }
 
-    /// Does the next of it; gives whether that could be done.
+    /// Processes the next event; returns whether this was possible.
     fn follow_next(&mut self) -> bool {
         if let Some(batch) = self.follower.batch.take() {
             return self.apply_followed(batch);
@@ -132,7 +132,7 @@ impl Writer {
         true
     }
 
-    /// Applies events of the log up to the start of an update that has to wait; gives whether all are applied.
+    /// Applies events of the log up to the start of an update that has to wait; returns whether all are applied.
     fn apply_followed(&mut self, mut batch: FollowedBatch) -> bool {
         while let Some((position, event)) = batch.events.pop_front() {
             if matches!(event, Event::UpdateStart(_)) && !self.may_follow_update() {
@@ -140,7 +140,7 @@ impl Writer {
                 self.follower.batch = Some(batch);
                 return false;
             }
-            // Without it the map is unusable, and the daemon stops.
+            // Without this event the map is unusable, and the daemon stops.
             let Ok(work) = self.apply(position, &event) else { return false };
             self.tell_applied(&event);
             if let Some(work) = work {
@@ -158,13 +158,13 @@ impl Writer {
         true
     }
 
-    /// Another daemon writes the map. What it has in flight is answered.
+    /// Another daemon writes the map. The appends of this daemon in flight have been completed.
     fn become_follower(&mut self, writer: Option<String>) {
         let role = MapRole::Following { writer: writer.clone() };
         if *self.follower.role.borrow() == role {
             return;
         }
-        // Streams hear of what became durable before they hear of the end.
+        // Streams receive their acknowledgements before they receive their end.
         self.publish();
         let map = &self.map.spec().name;
         info!(%map, writer = writer.as_deref().unwrap_or("unknown"), "another daemon writes the map");
@@ -173,23 +173,23 @@ impl Writer {
         }
         self.backlog.clear();
         self.sessions.end_all(&Ending::Moved { writer });
-        // Hellos and edits that wait are answered by `pump`.
+        // `pump` replies to waiting hellos and edits.
         if let Some(refused) = self.not_writer() {
             self.updates.schedule.fail_all(&refused.to_string());
         }
     }
 
-    /// This daemon writes the map: everything in the log before is applied.
+    /// This daemon writes the map: all earlier events in the log are applied.
     fn become_writer(&mut self, epoch: u64) {
         info!(map = %self.map.spec().name, epoch, position = self.map.position(), "this daemon writes the map");
         self.follower.role.send_replace(MapRole::Writing { epoch });
         metrics::counter!("tidemap_cluster_takeovers_total").increment(1);
-        // What was known of the end of the log is of another time.
+        // The data about the end of the log is out of date.
         self.sessions.roll_back();
         self.updates.become_due_again();
     }
 
-    /// The map holds records that the shared log does not have: it ends here.
+    /// The map has records that the shared log does not have: it ends here.
     fn fork(&mut self, common: u64) {
         error!(
             map = %self.map.spec().name, common, position = self.map.position(),

@@ -1,8 +1,8 @@
 //! Saves of the map, which follow its updates, and the history that no save has kept yet.
 //!
-//! Invariant: a snapshot that is not saved costs only time at the next start, because the log has everything. The
-//! history that it carries is kept until a save has stored it: after a later snapshot is saved, nothing else has it.
-//! One save runs at a time.
+//! Invariant: a snapshot that is not saved costs only time at the next start, because the log has all its data. The
+//! history of the snapshot is kept until a save has stored it: after a later snapshot is saved, nothing else has this
+//! history. One save runs at a time.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -26,14 +26,14 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// Updates in the time of imported data follow each other fast. They are saved this often, not each time, because the
-/// log has them.
+/// Least time between two saves of updates in the time of imported data. These updates follow each other fast; they are
+/// not saved each time, because the log has them.
 const SAVE_INTERVAL: Duration = Duration::from_secs(20);
-/// A save is due when the log has grown by this much since the last checkpoint.
+/// Growth of the log since the last checkpoint at which a save is due.
 const TAIL_BYTES: u64 = 256 << 20;
-/// A save is due when unsaved history takes this much memory.
+/// Memory of unsaved history at which a save is due.
 const HISTORY_BYTES: usize = 64 << 20;
-/// While saves fail, streams wait when unsaved history takes this much memory.
+/// Memory of unsaved history at which streams wait while saves fail.
 const HISTORY_BYTES_MAX: usize = 256 << 20;
 /// The longest pause between saves that fail.
 const SAVE_RETRY_MAX: Duration = Duration::from_secs(600);
@@ -43,17 +43,17 @@ fn retry_pause(failures: u32) -> Duration {
     SAVE_INTERVAL.saturating_mul(1 << failures.saturating_sub(1).min(10)).min(SAVE_RETRY_MAX)
 }
 
-/// What is saved, what is not, and when the next save is due.
+/// The saved and unsaved data, and the time at which the next save is due.
 pub(super) struct Saves {
-    /// The newest snapshot that is not saved, with the unsaved history of all before it.
+    /// The newest unsaved snapshot, with the unsaved history of all earlier ones.
     unsaved: Option<MapSnapshot>,
     /// History of snapshots that were dropped before they were saved; the next snapshot carries it.
     unsaved_history: Vec<Arc<HistoryPiece>>,
     /// History that the running save stores.
     saving_history: Vec<Arc<HistoryPiece>>,
-    /// The last save, if an update had the tiles when it ended.
+    /// The last save, if an update had the tiles when the save ended.
     saved_grid: SavedGrid,
-    /// Memory of the history that no save has stored, about.
+    /// Memory of the history that no save has stored, approximately.
     history_bytes: usize,
     is_saving: bool,
     last_save: Option<Instant>,
@@ -64,7 +64,7 @@ pub(super) struct Saves {
 }
 
 impl Saves {
-    /// `unsaved`: what an update that was run during the start left to be saved.
+    /// `unsaved`: the unsaved result of an update that was run during the start.
     pub(super) fn new(unsaved: Option<MapSnapshot>, tile_bytes: Arc<AtomicU64>) -> Self {
         let mut saves = Self {
             unsaved,
@@ -139,7 +139,7 @@ impl Saves {
         self.unsaved.take()
     }
 
-    /// Begins a save, unless one is running; gives the snapshot to save.
+    /// Begins a save, unless one is running; returns the snapshot to save.
     fn begin(&mut self) -> Option<MapSnapshot> {
         if self.is_saving {
             return None;
@@ -156,7 +156,7 @@ impl Saves {
         self.unsaved_history.append(&mut self.saving_history);
     }
 
-    /// The save has ended at `now`; `Err`: it failed, and gives the snapshot back.
+    /// The save has ended at `now`; `Err`: it failed, and returns the snapshot.
     fn end(&mut self, now: Instant, result: Result<SavedGrid, MapSnapshot>) {
         self.is_saving = false;
         self.saving_history = Vec::new();
@@ -169,7 +169,7 @@ impl Saves {
             Err(failed) => {
                 self.failures = self.failures.saturating_add(1);
                 match &mut self.unsaved {
-                    // A newer snapshot is better, with the history of both.
+                    // The newer snapshot is better, with the history of both.
                     Some(newer) => drop(newer.history.splice(..0, failed.history)),
                     None => self.unsaved = Some(failed),
                 }
@@ -178,8 +178,8 @@ impl Saves {
         self.count_history();
     }
 
-    /// Frees tiles that the last save has stored, if those in memory exceed `bytes_max`; gives how many. While an
-    /// update has the tiles nothing is freed: the save is remembered.
+    /// Frees tiles that the last save has stored, if the tiles in memory exceed `bytes_max`; returns how many. While an
+    /// update has the tiles, nothing is freed: the save is remembered.
     fn page_out(&mut self, map: &mut LiveMap, bytes_max: u64) -> usize {
         if map.is_updating() {
             return 0;
@@ -204,7 +204,7 @@ impl Writer {
         self.saves.is_due(Instant::now(), self.log.tail_bytes())
     }
 
-    /// Starts a save in a thread of its own, unless one is running or nothing is unsaved.
+    /// Starts a save in a thread of its own, unless one is running or there is nothing to save.
     pub(super) fn save(&mut self) {
         let Some(snapshot) = self.saves.begin() else { return };
         let (store, id, commands) = (Arc::clone(&self.context.store), self.id, self.commands.clone());
@@ -220,9 +220,9 @@ impl Writer {
                 span.fail("not saved: the log says why");
             }
             span.end();
-            // The store is released before the answer, which a stop may be waiting for.
+            // The store is released before the message, because a stop may be waiting for it.
             drop(store);
-            // During a stop nobody waits: the log has what is not saved.
+            // During a stop nobody waits: the log has the unsaved data.
             let _ = commands.send(Command::Saved(saved));
         });
         if let Err(error) = spawned {
@@ -252,7 +252,7 @@ impl Writer {
         }
     }
 
-    /// Answers with every acknowledged observation that is not in the generations of the store before `stored_before`,
+    /// Replies with all acknowledged observations that are not in the generations of the store before `stored_before`,
     /// each once. A request for observations that a running update has waits for its end.
     pub(super) fn read_history(&mut self, read: ReadHistory) {
         if read.reply.is_closed() {
@@ -273,7 +273,7 @@ impl Writer {
         // The client may have gone away.
         let _ = read.reply.send(tail);
     }
-    /// Answers with some of what the next update could learn. A client that has gone away costs nothing.
+    /// Replies with an extract of the data that the next update could learn. If the client has gone, no work is done.
     pub(super) fn read_pending(&self, read: ReadPending) {
         if read.reply.is_closed() {
             return;

@@ -1,4 +1,4 @@
-//! A writer on a real store, with a clock that the test sets.
+//! Tests a writer on a real store, with a clock that the test sets.
 
 use std::{
     path::Path,
@@ -41,7 +41,7 @@ const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
 pub(super) const NOON: i64 = 1_467_370_800_000_000_000;
 
-/// A clock that the test sets; the second number counts how often it was read.
+/// A clock that the test sets; the second number counts its reads.
 #[derive(Debug)]
 struct SetClock(AtomicI64, AtomicUsize);
 
@@ -170,8 +170,8 @@ async fn generation(handle: &MapHandle, generation: u64) {
     panic!("generation {} is not {generation}", handle.view().generation());
 }
 
-/// Returns when the writer has looked at the clock and has started what is due, without waiting for its tick: it reads
-/// the clock once after each burst of commands, so after the third reading a whole round lies behind it.
+/// Returns when the writer has read the clock and has started what is due, without waiting for its tick. The writer
+/// reads the clock once after each burst of commands, so after the third read a whole round has passed.
 async fn looked(bench: &Bench, handle: &MapHandle) {
     looked_at(&bench.clock, handle).await;
 }
@@ -192,7 +192,7 @@ fn update_cause(job: &UpdateJob) -> Option<UpdateCause> {
     }
 }
 
-/// Waits until `count` updates have ended; gives their causes, oldest first.
+/// Waits until `count` updates have ended; returns their causes, oldest first.
 async fn ended(bench: &Bench, count: usize) -> Vec<UpdateCause> {
     ended_of(&bench.jobs, count).await
 }
@@ -217,11 +217,11 @@ async fn the_nightly_update_runs_once_at_the_local_midnight() {
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     robot.observe(&handle, NOON - 90 * 24 * HOUR).await;
     robot.observe(&handle, NOON).await;
-    // 23:30 in London, 22:30 UTC: the day is not over, even for observations of months ago.
+    // The time is 23:30 in London, 22:30 UTC: the day is not over, even for observations of months ago.
     bench.clock.0.store(NOON + 11 * HOUR + HOUR / 2, Ordering::SeqCst);
     looked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 0);
-    // 00:30 in London, 23:30 UTC.
+    // The time is 00:30 in London, 23:30 UTC.
     bench.clock.0.store(NOON + 12 * HOUR + HOUR / 2, Ordering::SeqCst);
     assert_eq!(ended(&bench, 1).await, [UpdateCause::Midnight]);
     let view = handle.view();
@@ -266,7 +266,7 @@ async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_i
     let view = handle.view();
     assert_eq!(view.cut_nanos(), Some(day(1) - 12 * HOUR), "midnight between the days");
     assert_eq!(view.pending(), 2);
-    // One of them ends on purpose: the other continues alone.
+    // One stream ends on purpose: the other continues alone.
     assert!(handle.send(Command::StreamData { session: b.opened.session, data: StreamData::End { clean: true } }));
     a.observe(&handle, day(2)).await;
     assert_eq!(ended(&bench, 2).await.len(), 2);
@@ -313,7 +313,7 @@ async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once(
         let mut robot = hello(&handle, &format!("r{round}"), 0, true).await.expect("accepted");
         let day = |day: i64| NOON - 300 * 24 * HOUR + (10 * round + day) * 24 * HOUR;
         send(&handle, &mut robot, vec![day(0), day(1)]);
-        // In flight before the update that the first batch makes due, and passes another midnight.
+        // This batch is in flight before the update that the first batch makes due, and passes another midnight.
         std::thread::sleep(Duration::from_micros(100));
         send(&handle, &mut robot, vec![day(2)]);
         loop {
@@ -419,7 +419,7 @@ async fn observations_ahead_of_the_clock_make_no_update_due_and_are_taken_in_the
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     send(&handle, &mut robot, (0..1001).map(|i| NOON + HOUR + i).collect());
     assert_eq!(robot.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 1001, refused: Vec::new() }));
-    // More of them are refused; observations that are not in the future are taken.
+    // More observations in the future are refused; observations that are not in the future are taken.
     send(&handle, &mut robot, vec![NOON + HOUR, NOON]);
     let Some(SessionEvent::Ack { durable_sequence: 1003, refused }) = robot.events.recv().await else {
         panic!("an acknowledgement");

@@ -1,8 +1,8 @@
-//! The ends of updates in a log that daemons share: what an update has made gets a digest. The writer tells it to the
+//! The ends of updates in a shared log: the result of an update gets a digest. The writer appends the digest to the
 //! log, and a follower compares it with its own.
 //!
-//! Invariant: a writer begins no update before the log says what the one before has made. The map's thread computes no
-//! digest.
+//! Invariant: a writer begins no update before the log contains the result of the one before. The map's thread computes
+//! no digest.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -24,7 +24,7 @@ use crate::ingest::{
     protocol::Command,
 };
 
-/// The digests of the map, and whether one is computed.
+/// The digests of the map, and whether a digest is being computed.
 pub(super) struct UpdateEnds {
     digests: Digests,
     is_computing: bool,
@@ -32,17 +32,17 @@ pub(super) struct UpdateEnds {
 }
 
 impl UpdateEnds {
-    /// `logged`: what the log says of its last update, where it does.
+    /// `logged`: the result of the last update in the log, if the log contains it.
     pub(super) fn new(logged: Option<UpdateDone>, status: watch::Sender<Option<DigestStatus>>) -> Self {
         Self { digests: Digests::new(logged), is_computing: false, status }
     }
 
-    /// Whether a digest is computed.
+    /// Whether a digest is being computed.
     pub(super) fn is_computing(&self) -> bool {
         self.is_computing
     }
 
-    /// Whether the log does not say yet that an update has ended here.
+    /// Whether the log does not contain yet that an update has ended here.
     fn is_owed(&self) -> bool {
         self.is_computing || self.digests.owed().is_some()
     }
@@ -53,18 +53,18 @@ impl UpdateEnds {
 }
 
 impl Writer {
-    /// An update begins.
+    /// Records the beginning of an update.
     pub(super) fn begin_digest(&mut self, generation: u64) {
         self.ends.digests.begin(generation);
     }
 
-    /// Whether the log still has to be told of an update, before the next one begins.
+    /// Whether the end of an update still has to be logged, before the next one begins.
     pub(super) fn owes_update_end(&self) -> bool {
         self.follower.is_shared() && self.ends.is_owed()
     }
 
-    /// Computes the digest of what an update has made in a thread of its own. Nobody needs it where the log is this
-    /// daemon's alone.
+    /// Computes the digest of an update's result in a thread of its own. No digest is needed where the log belongs to
+    /// this daemon alone.
     pub(super) fn compute_digest(&mut self, snapshot: &MapSnapshot) {
         if !self.follower.is_shared() {
             return;
@@ -76,7 +76,7 @@ impl Writer {
                 .unwrap_or_else(|_| Err("computing it panicked; this is a defect of tidemap".to_owned()));
             // Tiles and sums are released before the next update may change them.
             drop(snapshot);
-            // Without a writer nobody compares it.
+            // Without a writer there is no comparison.
             let _ = commands.send(Command::Digested { generation, digest });
         });
         self.ends.is_computing = spawned.is_ok();
@@ -100,7 +100,7 @@ impl Writer {
         }
     }
 
-    /// The log says what the writer's update has made.
+    /// Takes the result of the writer's update from the log.
     pub(super) fn read_digest(&mut self, done: UpdateDone) {
         let verdict = self.ends.digests.read(done);
         self.tell_verdict(done.generation, verdict);
@@ -122,7 +122,7 @@ impl Writer {
         self.ends.publish();
     }
 
-    /// As the writer: tells the log what the last update has made, unless that is in flight.
+    /// Appends, as the writer, the result of the last update to the log, unless it is in flight.
     pub(super) fn say_update_end(&mut self) {
         let is_writer = self.follower.is_shared() && self.follower.is_writing();
         if !is_writer || self.appends.is_update_ending() || !self.updates.may_start(Instant::now()) {
@@ -133,7 +133,7 @@ impl Writer {
         }
     }
 
-    /// The log says what this daemon has told it.
+    /// The log contains the result that this daemon has appended.
     pub(super) fn update_end_said(&mut self, event: &Event) {
         if let Event::UpdateDone(done) = event {
             self.ends.digests.said(*done);

@@ -1,8 +1,9 @@
-//! Updates of the map: started when they are due, run in a thread of their own, published when they end.
+//! Updates of the map: they are started when they are due, run in a thread of their own, and are published when they
+//! end.
 //!
 //! An update that leaves rows of changes or events to the next is a part of a job: the next part starts when it ends.
 //!
-//! Invariant: one update of a map runs at a time, and its job ends, whatever happens to it.
+//! Invariant: one update of a map runs at a time, and its job ends in every case.
 
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -36,13 +37,13 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// With more states, an update waits for a save.
+/// Number of states above which an update waits for a save.
 const STATES_BESIDE_SAVE_MAX: usize = 10_000;
 
-/// How long updates wait after the log did not accept the start of one.
+/// Time for which updates wait after the log did not accept the start of one.
 const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
-/// Why an update has no result.
+/// The reason why an update has no result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum UpdateFailed {
     #[error("an update could not read its training data: {0}. Restore the folder of this map from a backup")]
@@ -69,14 +70,14 @@ impl Pace for UpdatePace<'_> {
 
 /// The updates of a map: scheduled, running, and ended but not published.
 pub(super) struct Updates {
-    /// The updates that wait, and what makes new ones due.
+    /// The waiting updates, and the data that makes new ones due.
     pub(super) schedule: UpdateSchedule,
     /// The job of the running update.
     running: Option<Arc<UpdateJob>>,
-    /// The least time of the observations that the running update has, and its cut. Kept when the update fails: it
-    /// still has the observations.
+    /// The least time of the observations that the running update has, and its cut. Both are kept when the update
+    /// fails, because it still has the observations.
     times: Option<(i64, i64)>,
-    /// No update starts before.
+    /// The time before which no update starts.
     wait_until: Option<Instant>,
     /// Jobs whose results the next view shows: generation and cut.
     ended: Vec<(Arc<UpdateJob>, (u64, i64))>,
@@ -87,7 +88,7 @@ impl Updates {
         Self { schedule, running: None, times: None, wait_until: None, ended: Vec::new() }
     }
 
-    /// Whether updates may start at `now`, as far as the last failure goes.
+    /// Whether updates may start at `now`, as far as the last failure allows it.
     pub(super) fn may_start(&self, now: Instant) -> bool {
         self.wait_until.is_none_or(|until| until <= now)
     }
@@ -98,7 +99,7 @@ impl Updates {
         self.wait(now);
     }
 
-    /// The log takes no start or end of an update for now.
+    /// The log accepts no start or end of an update for now.
     pub(super) fn wait(&mut self, now: Instant) {
         self.wait_until = Some(now + UPDATE_RETRY);
     }
@@ -109,20 +110,20 @@ impl Updates {
         self.wait_until = None;
     }
 
-    /// An update runs that has the observations from `from_nanos`, if any, to `cut_nanos`.
+    /// Records that an update runs that has the observations from `from_nanos`, if any, to `cut_nanos`.
     fn begin(&mut self, job: &Arc<UpdateJob>, from_nanos: Option<i64>, cut_nanos: i64) {
         self.times = from_nanos.map(|from| (from, cut_nanos));
         self.running = Some(Arc::clone(job));
     }
 
-    /// The update has ended; its job ends when the view shows the generation.
+    /// Records that the update has ended; its job ends when the view shows the generation.
     fn end(&mut self, job: &Arc<UpdateJob>, generation: u64, cut_nanos: i64) {
         self.running = None;
         self.times = None;
         self.ended.push((Arc::clone(job), (generation, cut_nanos)));
     }
 
-    /// A part of the update has ended; what it left, the next part learns at once.
+    /// A part of the update has ended; the next part learns the rest at once.
     fn go_on(&mut self, next: DueUpdate) {
         self.running = None;
         self.times = None;
@@ -168,7 +169,7 @@ impl Context {
     ///
     /// # Errors
     /// [`UpdateFailed`] where a tile of the grid or the sums of a state cannot be read back from the disk, or no thread
-    /// can be had.
+    /// can be started.
     pub(crate) fn run_update(
         &self,
         id: MapId,
@@ -178,7 +179,7 @@ impl Context {
         progress: &AtomicU64,
     ) -> Result<UpdateResult, UpdateFailed> {
         let pace = UpdatePace { done: progress, turn: self.update_turns.begin() };
-        // Of its own, because its threads wait while other updates have their turn.
+        // The pool belongs to this update, because its threads wait while other updates have their turn.
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.update_turns.threads())
             .thread_name(|index| format!("learn-{index}"))
@@ -225,8 +226,8 @@ fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
 }
 
 impl Writer {
-    /// Whether an update may start or become due: never while the start of another is in flight, or before the log says
-    /// what the one before has made. Only the writer of the map decides it.
+    /// Whether an update may start or become due: never while the start of another one is in flight, or before the log
+    /// contains the result of the one before. Only the writer of the map decides it.
     pub(super) fn may_update(&self) -> bool {
         self.stopping.is_none()
             && self.follower.is_writing()
@@ -245,22 +246,22 @@ impl Writer {
         self.append(InFlight::UpdateStart { event, job });
     }
 
-    /// Whether an update that the log begins may run here: the one before has ended, with its digest.
+    /// Whether an update that the log begins may run here: the one before must have ended, with its digest.
     pub(super) fn may_follow_update(&mut self) -> bool {
         !self.ends.is_computing() && self.has_room_for_update(true)
     }
 
     /// Whether no update runs and no save is in the way. `is_waited_for`: an update waits, so that a due save begins.
     fn has_room_for_update(&mut self, is_waited_for: bool) -> bool {
-        // A save holds what the last update learned: a grid's sums would be copied if they changed meanwhile, and of
-        // many states there is no room for one generation more.
+        // A save holds the data that the last update learned: a grid's sums would be copied if they changed meanwhile,
+        // and with many states there is no memory for another generation.
         let is_large = self.map.grid().is_some() || self.map.states() > STATES_BESIDE_SAVE_MAX;
         let is_blocked_by_save = |writer: &Self| writer.saves.is_saving() && is_large;
         if self.map.is_updating() || is_blocked_by_save(self) {
             return false;
         }
-        // A due save goes first, because its snapshot has no room beside an update. A save that has failed may fail
-        // again, and takes time: no update waits for it.
+        // A due save goes first, because there is no memory for its snapshot beside an update. A save that has failed
+        // may fail again, and takes time: no update waits for it.
         if is_waited_for && self.saves.has_unsaved() && !self.saves.has_failed() && self.is_save_due() {
             self.save();
             if is_blocked_by_save(self) {
@@ -279,7 +280,7 @@ impl Writer {
     }
 
     pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<UpdateJob>) {
-        // There is no room beside the update for the snapshot that it replaces.
+        // There is no memory beside the update for the snapshot that it replaces.
         self.saves.drop_unsaved();
         self.begin_digest(work.start().generation);
         job.start(work.states(), work.observations());
@@ -288,11 +289,11 @@ impl Writer {
         let commands = self.commands.clone();
         let (context, id, map) = (self.context.clone(), self.id, self.map.spec().name.clone());
         let for_thread = Arc::clone(job);
-        // With the history that a running save may not have written yet.
+        // The history includes what a running save may not have written yet.
         let unsaved = self.saves.history().map(Arc::clone).collect();
         let spawned = std::thread::Builder::new().name(format!("update-{}", self.id.0)).spawn(move || {
             let progress = Arc::clone(&for_thread);
-            // Moved, so that the store is released before the result is sent.
+            // The data is moved, so that the store is released before the result is sent.
             let run = move || context.run_update(id, &map, work, unsaved, &progress.states_done);
             let result = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(Ok(result)) => Ok(Box::new(result)),
@@ -307,7 +308,7 @@ impl Writer {
         }
     }
 
-    /// The log says that the update started, and it has no result: only a restart repeats it.
+    /// The log contains the start of the update, and there is no result: only a restart repeats it.
     fn give_up(&mut self, job: &Arc<UpdateJob>, reason: String) {
         error!(map = %self.map.spec().name, reason, "update failed");
         self.updates.fail(job, reason.clone());
@@ -337,8 +338,8 @@ impl Writer {
         self.page_out();
     }
 
-    /// Ends the job of an update, or lets its next part follow. `rows_to_nanos`: up to where it has learned rows, if it
-    /// left some. Only the writer of a map starts updates.
+    /// Ends the job of an update, or lets its next part follow. `rows_to_nanos`: the end of the learned rows, if the
+    /// update has left some. Only the writer of a map starts updates.
     fn end_update(&mut self, job: &Arc<UpdateJob>, snapshot: &MapSnapshot, rows_to_nanos: Option<i64>) {
         let next = rows_to_nanos.filter(|_| self.follower.is_writing() && self.stopping.is_none());
         let (Some(rows_to_nanos), JobCause::Update(cause)) = (next, job.cause) else {

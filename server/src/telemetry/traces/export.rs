@@ -1,7 +1,7 @@
 //! The way of ended spans to the collector.
 //!
-//! Invariant: a span that ends is put into a bounded queue or dropped and counted, and nobody waits. One task sends; a
-//! collector that is absent, slow or broken costs spans and nothing else. A batch is sent once.
+//! Invariant: an ended span is put into a bounded queue, or dropped and counted; nothing waits. One task sends; if the
+//! collector is absent, slow or broken, only spans are lost. A batch is sent once.
 
 use std::time::Duration;
 
@@ -19,25 +19,25 @@ use tokio::{
 };
 use tracing::{info, warn};
 
-/// Spans that wait. A span takes about half a kilobyte.
+/// Maximum number of waiting spans. A span takes about half a kilobyte.
 const QUEUE_MAX: usize = 8192;
-/// Spans of one message to the collector.
+/// Maximum number of spans of one message to the collector.
 const BATCH_MAX: usize = 512;
-/// How long a span waits for others.
+/// Time for which a span waits for others.
 const GATHER: Duration = Duration::from_millis(500);
-/// The collector must have taken a batch within this time.
+/// Time limit for the collector to take a batch.
 const EXPORT_WITHIN: Duration = Duration::from_secs(5);
-/// Pause after a batch that failed; longer after each further one, up to the greatest.
+/// Pause after a failed batch; it grows with each further failure, up to the maximum.
 const PAUSE_MIN: Duration = Duration::from_secs(1);
 const PAUSE_MAX: Duration = Duration::from_secs(30);
-/// The end of the daemon waits so long for the collector.
+/// Time for which the end of the daemon waits for the collector.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
 
 fn count_dropped(spans: usize) {
     metrics::counter!("tidemap_spans_dropped_total").increment(spans as u64);
 }
 
-/// Takes the spans that end.
+/// Receives the spans that end.
 #[derive(Debug)]
 pub(super) struct Spans(mpsc::Sender<SpanData>);
 
@@ -50,7 +50,7 @@ impl Spans {
         let mut exporter =
             SpanExporter::builder().with_tonic().with_endpoint(otlp_endpoint).with_timeout(EXPORT_WITHIN).build()?;
         exporter.set_resource(resource);
-        // They are there from the start, so that an alert can tell 0 from nothing.
+        // The counters exist from the start, so that an alert can distinguish 0 from a missing value.
         count_dropped(0);
         metrics::counter!("tidemap_spans_exported_total").increment(0);
         let (queue, spans) = mpsc::channel(QUEUE_MAX);
@@ -86,7 +86,7 @@ pub(super) struct Export {
 }
 
 impl Export {
-    /// Sends what waits, and ends.
+    /// Sends the waiting spans, and ends.
     pub(super) async fn stop(mut self) {
         // An error means that the task has ended.
         let _ = self.stop.send(());
@@ -99,7 +99,7 @@ impl Export {
 struct Sending {
     exporter: SpanExporter,
     spans: mpsc::Receiver<SpanData>,
-    /// Batches that failed since the last that did not.
+    /// Number of failed batches since the last success.
     failures: u32,
 }
 
@@ -144,7 +144,7 @@ impl Sending {
         }
     }
 
-    /// Whether the collector took the batch.
+    /// Sends a batch; returns whether the collector took it.
     async fn send(&mut self, batch: Vec<SpanData>) -> bool {
         let spans = batch.len();
         let error = match timeout(EXPORT_WITHIN, self.exporter.export(batch)).await {

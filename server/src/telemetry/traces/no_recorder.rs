@@ -1,11 +1,11 @@
 //! No recorder: the daemon was built without the feature `traces`.
 //!
-//! Invariant: a setting that asks for traces is refused, and no span is made.
+//! Invariant: a setting that requests traces is refused, and no span is made.
 
 use anyhow::bail;
 use http::HeaderMap;
 
-/// Stands for a recorded span. It has no values, because nothing is recorded.
+/// Takes the place of a recorded span. It has no values, because nothing is recorded.
 #[derive(Clone)]
 pub(super) enum Recorder {}
 

@@ -1,7 +1,7 @@
 //! Spans as OpenTelemetry records them.
 //!
-//! Invariant: one tracer for the whole process, made once at the start; a context from outside is taken as the parent,
-//! and nothing else of the headers.
+//! Invariant: there is one tracer for the whole process, made once at the start. The only data taken from the headers
+//! is a context from outside, as the parent.
 
 use std::sync::OnceLock;
 
@@ -19,10 +19,10 @@ use opentelemetry_sdk::{
 
 use super::export::{Export, Spans};
 
-/// Set once, if traces are configured.
+/// The tracer. It is set once, if traces are configured.
 static TRACER: OnceLock<SdkTracer> = OnceLock::new();
 
-/// A span that is recorded, if its trace is.
+/// A span, which is recorded if its trace is.
 #[derive(Clone)]
 pub(super) struct Recorder(Context);
 
@@ -57,7 +57,7 @@ impl Recorder {
     }
 }
 
-/// The headers that may hold a trace context.
+/// The headers that may contain a trace context.
 struct Headers<'headers>(&'headers HeaderMap);
 
 impl Extractor for Headers<'_> {
@@ -95,7 +95,7 @@ pub(crate) struct Traces(Option<Export>);
 
 impl Traces {
     /// Starts to send spans to the collector of this address, if there is one; must be called in the runtime. `ratio`:
-    /// share of the traces that are recorded, unless their context says it.
+    /// share of the traces that are recorded, unless their context decides it.
     ///
     /// # Errors
     /// The address cannot be used.
@@ -103,7 +103,7 @@ impl Traces {
         if otlp_endpoint.is_empty() {
             return Ok(Self(None));
         }
-        // Also what OTEL_RESOURCE_ATTRIBUTES says of this daemon.
+        // The resource also has the attributes of OTEL_RESOURCE_ATTRIBUTES.
         let resource = Resource::builder()
             .with_service_name(env!("CARGO_PKG_NAME"))
             .with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")))
@@ -114,12 +114,12 @@ impl Traces {
             .with_sampler(Sampler::ParentBased(Box::new(Sampler::TraceIdRatioBased(ratio))))
             .with_span_processor(spans)
             .build();
-        // A second start would change nothing: there is one daemon in a process.
+        // A second start has no effect: there is one daemon in a process.
         let _ = TRACER.set(provider.tracer(env!("CARGO_PKG_NAME")));
         Ok(Self(Some(export)))
     }
 
-    /// Sends what has ended, and stops. A collector that does not take it does not delay the stop for long.
+    /// Sends the ended spans, and stops. A collector that does not take them does not delay the stop for long.
     pub(crate) async fn stop(self) {
         if let Some(export) = self.0 {
             export.stop().await;

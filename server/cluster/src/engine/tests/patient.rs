@@ -1,6 +1,6 @@
-//! An engine that asks again where a call was not available: a busy machine may elect a new leader at any time.
+//! An engine that repeats a call while the engine is unavailable: a busy machine may elect a new leader at any time.
 //!
-//! Invariant: repeats only what had no effect.
+//! Invariant: repeats only calls that had no effect.
 
 use std::{future::Future, time::Duration};
 
@@ -11,7 +11,7 @@ use crate::engine::{
     AppendIfError, Bucket, Engine, EngineError, EngineServer, KeyEntry, Message, SetError, StreamEnds, StreamHealth,
 };
 
-/// How long an engine may be unavailable.
+/// Longest time for which an engine may be unavailable.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// An engine whose calls wait for a leader.

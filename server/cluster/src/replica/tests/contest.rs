@@ -2,11 +2,11 @@
 
 use super::*;
 
-/// How long they contest.
+/// Duration of the contest.
 const CONTEST: Duration = Duration::from_secs(40);
 
 impl World {
-    /// A producer sends until the time is over.
+    /// A producer that sends until the time is over.
     async fn produce_until(&self, producer: usize, seed: u64, end: Instant) {
         let mut random = SmallRng::seed_from_u64(seed);
         while Instant::now() < end {
@@ -19,7 +19,7 @@ impl World {
 async fn contest(seed: u64, defects: PlantedDefects) -> Result<String, String> {
     let faults = EngineFaults { chances: Vec::new(), ..EngineFaults::survivable() };
     let mut world = World::of(seed, faults, DAEMONS);
-    // A writer does not know that another one writes: only leases keep it from welcoming producers then.
+    // A writer does not notice that another one writes: only leases prevent it from welcoming producers then.
     world.welcomes_late = true;
     world.engine.plant(PlantedDefects { useless_leases: true, ..defects });
     let client = world.engine.client("operator");
@@ -55,7 +55,7 @@ fn nothing_is_lost_without_leases() {
     }
 }
 
-/// As nats-server 2.9.10 does where an append names the last message of its subject instead of the stream's.
+/// Behaves like nats-server 2.9.10 where an append names the last message of its subject instead of the stream's.
 #[test]
 fn a_fence_that_lets_two_messages_in_at_one_position_is_caught() {
     let defects = PlantedDefects { two_at_one_position: true, ..PlantedDefects::default() };

@@ -1,6 +1,7 @@
-//! A daemon with one map: its replica, and the thread of the map in short.
+//! A daemon with one map: its replica, and a simplified thread of the map.
 //!
-//! It applies only what the log has, appends what producers send, and answers them when the log has it.
+//! The thread applies only events of the log, appends the observations of producers, and replies to them when the log
+//! has the observations.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -30,16 +31,17 @@ use tokio::{
 use super::{super::*, Seen, UID};
 use crate::{engine::Bucket, member::MemberReport, simulated::SimulatedEngine};
 
-/// Each update learns so much more of the producers' time.
+/// Length of the producers' time that each update learns.
 const LEARNED_NANOS: i64 = 8_000_000_000;
 
-/// What a producer asks of the map.
+/// A request of a producer to the map.
 pub(super) enum Ask {
-    /// How far its sequence is durable; `None`: this daemon does not write the map.
+    /// Returns the sequence number up to which the producer's observations are durable; `None`: this daemon does not
+    /// write the map.
     Welcome(String, oneshot::Sender<Option<u64>>),
-    /// To take so many observations from a sequence number on; answered with the durable one.
+    /// Takes a number of observations from a sequence number on; returns the durable sequence number.
     Observe(String, u64, u32, oneshot::Sender<Option<u64>>),
-    /// To learn what was observed so far; answered with the number of the generation.
+    /// Learns from the observations so far; returns the number of the generation.
     Update(oneshot::Sender<Option<u64>>),
 }
 
@@ -49,14 +51,14 @@ enum Inbox {
     Asked(Ask),
 }
 
-/// A daemon that runs.
+/// A running daemon.
 pub(super) struct Daemon {
     pub(super) handle: ReplicaHandle,
     pub(super) log: SharedLog,
     pub(super) store: Store,
     pub(super) map: MapId,
     asks: mpsc::UnboundedSender<Inbox>,
-    /// Ended with the daemon.
+    /// The tasks end with the daemon.
     pub(super) tasks: JoinSet<()>,
 }
 
@@ -74,7 +76,7 @@ fn options() -> StoreOptions {
     StoreOptions { segment_bytes: 900, ..StoreOptions::default() }
 }
 
-/// A disk with its map, as a start finds it.
+/// A disk with its map, as a start reads it.
 pub(super) struct OpenedDisk {
     store: Store,
     id: MapId,
@@ -83,13 +85,13 @@ pub(super) struct OpenedDisk {
 }
 
 impl OpenedDisk {
-    /// Whether checkpoints have taken the place of the log's beginning.
+    /// Whether checkpoints have replaced the beginning of the log.
     pub(super) fn is_shortened(&self) -> bool {
         self.store.group_log(self.id).expect("open").groups(1).is_err()
     }
 }
 
-/// Opens the store of a disk and the map in it, which is made where there is none.
+/// Opens the store of a disk and the map in it, which is created where there is none.
 pub(super) fn open_disk(disk: &SimulatedDisk) -> Result<OpenedDisk, String> {
     let store = simulation::open(disk, options()).map_err(|error| error.to_string())?;
     let id = match store.maps().first() {
@@ -114,7 +116,7 @@ pub(super) fn open_disk(disk: &SimulatedDisk) -> Result<OpenedDisk, String> {
     Ok(OpenedDisk { store, id, map, generation })
 }
 
-/// Applies an event. An update runs at once; gives what it has made.
+/// Applies an event. An update runs at once; returns the map that it has made.
 fn applied(map: &mut LiveMap, position: u64, event: &Event) -> Result<Option<MapSnapshot>, String> {
     let Some(work) = map.apply(position, event).map_err(|error| error.to_string())? else { return Ok(None) };
     let result = work.run(&AtomicU64::new(0)).map_err(|error| error.to_string())?;
@@ -141,7 +143,7 @@ struct MapTask {
 }
 
 impl Daemon {
-    /// Starts on a disk. `forked` hears of a fork.
+    /// Starts the daemon on a disk. `forked` receives the position of a fork.
     pub(super) fn start(
         name: &str,
         rank: u32,
@@ -197,16 +199,16 @@ impl Daemon {
     }
 
     pub(super) async fn ask(&self, ask: Ask) {
-        // A daemon that ends answers nothing.
+        // A daemon that ends never replies.
         let _ = self.asks.send(Inbox::Asked(ask));
     }
 
-    /// Where its own log ends.
+    /// The end of the own log.
     pub(super) fn end(&self) -> LogPoint {
         self.store.group_log(self.map).expect("open").end()
     }
 
-    /// All that its own log holds.
+    /// All records of the own log.
     pub(super) fn records(&self) -> Vec<(u64, Event)> {
         let log = self.store.group_log(self.map).expect("open");
         let groups = log.groups(1).expect("readable").map(|group| group.expect("sound"));
@@ -261,7 +263,7 @@ impl MapTask {
     fn apply(&mut self, position: u64, event: &Event) {
         if let Some(snapshot) = applied(&mut self.map, position, event).expect("the log fits the map") {
             self.generation = snapshot.generation;
-            // A save that fails leaves the one before and the log.
+            // A failed save leaves the save before it and the log.
             let _ = self.store.save(self.id, &snapshot);
         }
     }
@@ -318,7 +320,7 @@ impl MapTask {
                     let id = known.map(|(id, _)| id);
                     event.envelope().map(|envelope| envelope.producer) == id
                 };
-                // What appears for the first time gets the next number, so it is alone.
+                // A new entity gets the next number, so it is alone.
                 let is_new = known.is_none() || self.map.states() == 0;
                 if (is_new && !self.in_flight.is_empty()) || self.in_flight.iter().any(in_flight) {
                     return self.waiting.push(Ask::Observe(producer, first, count, reply));

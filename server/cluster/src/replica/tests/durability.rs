@@ -1,8 +1,8 @@
-//! Every operation of a daemon's disk is once the last one before a kill or a power cut. What the shared log has
-//! acknowledged is there afterwards, in order, once.
+//! Each operation of a daemon's disk is once the last one before a kill or a power cut. Afterwards all acknowledged
+//! records of the shared log are there, in order, once.
 //!
-//! `TIDEMAP_SIMULATED_SEEDS` is how many hundreds of seeds are tried, from `TIDEMAP_SEED` on; `make durability` and
-//! `make soak` set them.
+//! `TIDEMAP_SIMULATED_SEEDS` is the number of hundreds of seeds, from `TIDEMAP_SEED` on; `make durability` and `make
+//! soak` set them.
 
 use tidemap_store::{LogPoint, RecordGroup};
 
@@ -11,14 +11,14 @@ use crate::message::Assembly;
 
 const STEPS: usize = 24;
 
-/// Whose disk fails.
+/// The daemon whose disk fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Scene {
-    /// That of the only daemon, while the engine forgets its last messages: all is on this disk alone.
+    /// The disk of the only daemon fails, while the engine forgets its last messages: this disk alone has all records.
     Alone,
-    /// The writer's, whose place another daemon takes.
+    /// The disk of the writer fails, and another daemon takes its place.
     Writer,
-    /// That of a daemon that follows.
+    /// The disk of a daemon that follows fails.
     Follower,
 }
 
@@ -34,7 +34,7 @@ impl Scene {
 }
 
 impl World {
-    /// Asks all daemons for an update, one of which may write.
+    /// Requests an update from all daemons, one of which may write.
     async fn update(&self) {
         for index in 0..self.machines.len() {
             if self.ask(index, Ask::Update).await.is_some() {
@@ -81,7 +81,7 @@ fn shared_log(world: &World) -> Result<(Vec<RecordGroup>, LogPoint), String> {
     let (mut assembly, mut groups, mut end) = (Assembly::default(), Vec::new(), LogPoint::BEGINNING);
     for message in world.engine.present("tm") {
         let Some(part) = GroupPart::decode(&message.content)? else { continue };
-        // One that does not follow is part of no log.
+        // A group that does not follow is part of no log.
         if let Some(group) = assembly.push(part).filter(|group| group.before == end) {
             end = group.after;
             groups.push(group);
@@ -90,7 +90,7 @@ fn shared_log(world: &World) -> Result<(Vec<RecordGroup>, LogPoint), String> {
     Ok((groups, end))
 }
 
-/// What was acknowledged is in the shared log. Gives where it ends, and the producers' numbers that it has.
+/// Checks that acknowledged records are in the shared log. Returns its end, and the producers' numbers in it.
 fn check_shared(world: &World) -> Result<(LogPoint, BTreeMap<String, u64>), String> {
     let (groups, end) = shared_log(world)?;
     let mut marks: BTreeMap<String, u64> = BTreeMap::new();
@@ -118,7 +118,7 @@ fn check_shared(world: &World) -> Result<(LogPoint, BTreeMap<String, u64>), Stri
     Ok((end, marks))
 }
 
-/// Each disk has the shared log and the map that it makes. Gives how much was tried.
+/// Checks that each disk has the shared log and the map that results from it. Returns how much was tried.
 async fn check_disks(world: &mut World) -> Result<Tried, String> {
     let (end, marks) = check_shared(world)?;
     let acknowledged = world.seen.lock().expect("sound").acknowledged.values().sum();
@@ -146,18 +146,18 @@ async fn check_disks(world: &mut World) -> Result<Tried, String> {
     Ok(tried)
 }
 
-/// How much was tried.
+/// The amount of work of a trial.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tried {
-    /// Operations of the disk, up to the fault.
+    /// Number of disk operations up to the fault.
     calls: usize,
     acknowledged: u64,
     updates: u64,
-    /// Logs whose beginning was deleted, because checkpoints hold it.
+    /// Number of logs whose beginning was deleted, because checkpoints cover it.
     shortened: usize,
 }
 
-/// One run, whose disk fails from this operation on; `None`: it does not fail.
+/// One run, whose disk fails from the operation `cut` on; `None`: it does not fail.
 async fn trial(seed: u64, scene: Scene, cut: Option<usize>, planted: Planted) -> Result<Tried, String> {
     let mut world = World::of(seed, EngineFaults::none(), scene.daemons());
     world.planted = planted;
@@ -178,7 +178,7 @@ async fn trial(seed: u64, scene: Scene, cut: Option<usize>, planted: Planted) ->
     let has_failed = || cut.is_some_and(|cut| disk.calls() > begin + cut);
     world.work(STEPS, has_failed).await;
     let calls = disk.calls() - begin;
-    // With a disk that fails, nothing is acknowledged that it should have.
+    // With a disk that fails, no record is acknowledged that needs the disk.
     world.work(2, || false).await;
     world.end(failing, scene).await?;
     world.start(failing);
@@ -198,12 +198,12 @@ fn simulate_trial(seed: u64, scene: Scene, cut: Option<usize>, planted: Planted)
 fn try_all(scene: Scene) {
     let number = |name| std::env::var(name).ok().and_then(|text: String| text.parse::<u64>().ok());
     let first = number("TIDEMAP_SEED").unwrap_or(1);
-    // A few in each run of all tests.
+    // Few cuts in each ordinary run of all tests.
     let (seeds, apart) = number("TIDEMAP_SIMULATED_SEEDS").map_or((1, 3), |seeds| ((seeds / 100).max(1), 1));
     let (mut tried, mut runs, mut acknowledged) = (Tried::default(), 0, 0);
     for seed in first..first + seeds {
         let whole = simulate_trial(seed, scene, None, Planted::Nothing).unwrap_or_else(|error| panic!("{error}"));
-        // Some seeds acknowledge little; all together have to acknowledge much.
+        // Some seeds acknowledge few records; all together have to acknowledge many.
         assert!(whole.calls > 60 && whole.acknowledged > 0, "seed {seed}: too little was tried: {whole:?}");
         acknowledged += whole.acknowledged;
         for cut in (0..whole.calls).step_by(apart) {

@@ -1,4 +1,4 @@
-//! Value iteration over all states until convergence.
+//! Value iteration over all states until convergence, as an oracle for policies.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use tidemap_map::{
@@ -38,7 +38,7 @@ impl World {
                 true => [1.0, 0.5][random.random_range(0..2)],
                 false => random.random_range(0.2..=1.0),
             };
-            // From several edges per slot to several slots per edge.
+            // The slot widths range from several edges per slot to several slots per edge.
             let slots =
                 if whole { [0.25, 0.5, 1.0, 2.0][random.random_range(0..4)] } else { random.random_range(0.05..2.5) };
             let forecast = EdgeForecast { success, duration_secs: slots * slot_secs, evidence: 1.0 };
@@ -149,7 +149,7 @@ impl World {
     fn certain(&self) -> Vec<Vec<f64>> {
         let mut values = self.zeros();
         let last = self.last();
-        // If the last slot lasts for ever, a path is enough.
+        // If the last slot lasts for ever, a path to the target suffices.
         values[last].fill(f64::INFINITY);
         values[last][self.target.0 as usize] = 0.0;
         for _ in 0..self.topology.nodes().len() {
@@ -231,7 +231,7 @@ fn check_time(world: &World, table: &PolicyTable, seed: u64) {
     }
 }
 
-/// All except the target.
+/// All states except the target's.
 fn states(world: &World) -> Vec<(usize, NodeId)> {
     let nodes = || world.topology.nodes().map(|node| node.id).filter(|&node| node != world.target);
     (0..world.options.slots).flat_map(|slot| nodes().map(move |node| (slot, node))).collect()

@@ -1,4 +1,4 @@
-//! What a policy does at doors, in short times and at limits.
+//! The actions of a policy at doors, in short times and at limits.
 
 use tidemap_map::topology::Edge;
 
@@ -27,7 +27,7 @@ fn short_edges_are_gone_one_after_another_within_a_slot() {
 
 #[test]
 fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
-    // From node 2 to 3 it is open in slots 10 to 19.
+    // The door from node 2 to 3 is open in slots 10 to 19.
     let door = &mut |edge: &Edge, at_secs: f64| {
         let is_door = edge.from == NodeId(2) && edge.to == NodeId(3);
         sure(edge, at_secs).filter(|_| !is_door || (9_000.0..18_000.0).contains(&at_secs))
@@ -35,7 +35,7 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
     let table = solve(PolicyObjective::Reach, door);
     let at = |node, slot| table.entry(NodeId(node), slot).unwrap();
     assert_eq!(at(2, 5).action, PolicyAction::Wait);
-    // Does not move back and forth at the door, though that would lose no time.
+    // The robot does not move back and forth at the door, though that would lose no time.
     let edge = |node: u32, slot| match at(node, slot).action {
         PolicyAction::Take(edge) => Some(edge.0 % 2),
         _ => None,
@@ -45,7 +45,7 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
     assert!(matches!(at(2, 10).action, PolicyAction::Take(_)));
     assert_eq!((at(2, 30).action, at(2, 30).reach), (PolicyAction::Nothing, 0.0));
     assert!((at(2, 30).expected_secs - 66.0 * 900.0).abs() < 1e-6);
-    // The last forecast holds: closed.
+    // The last forecast holds: the door is closed.
     let table = solve(PolicyObjective::Time, door);
     let at = |node, slot| table.entry(NodeId(node), slot).unwrap();
     assert_eq!((at(2, 30).action, at(2, 30).expected_secs), (PolicyAction::Nothing, f64::INFINITY));
@@ -56,7 +56,7 @@ fn a_robot_waits_for_a_door_and_has_no_way_once_it_is_shut_for_ever() {
 fn failures_cost_what_they_do_on_a_route() {
     let mut half = |_: &Edge, _: f64| Some(EdgeForecast { success: 0.5, duration_secs: 10.0, evidence: 9.0 });
     let table = solve(PolicyObjective::Time, &mut half);
-    // One failure on average, of 70 s.
+    // There is one failure on average, of 70 s.
     for slot in [0, 40, 95] {
         let entry = table.entry(NodeId(0), slot).unwrap();
         assert!((entry.expected_secs - 3.0 * 80.0).abs() < 1e-8, "{entry:?}");

@@ -1,6 +1,6 @@
 //! Turns found paths into reported routes.
 //!
-//! Invariant: all figures are of the forecasts that the search has used.
+//! Invariant: all numbers are of the forecasts that the search has used.
 
 use tidemap_map::topology::Edge;
 
@@ -24,7 +24,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let mut at_secs = departure_secs;
         let mut steps = Vec::with_capacity(edges.len());
         for &edge in edges {
-            // It was open in the search.
+            // The edge was open in the search.
             let Some(traversal) = self.cache.at(edge, at_secs)? else { continue };
             steps.push(RouteLeg {
                 edge: self.network.edges[edge],

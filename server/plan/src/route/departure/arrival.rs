@@ -67,7 +67,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
             (true, None) => return Ok(0.0),
             _ => (Source::Known, (first_secs, by_secs)),
         };
-        // The time alone, without what is worth avoiding.
+        // The costs are the time alone, without encounters and failures.
         let costing = Costing { objective: Objective::Time, encounter_cost_secs: 0.0, ..self.cache.costing };
         self.cache.bounds = Some(costing);
         let to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, Cost::INFINITE);

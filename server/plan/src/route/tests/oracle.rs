@@ -1,4 +1,4 @@
-//! Enumeration of all simple paths.
+//! Enumeration of all simple paths, as an oracle for routes.
 
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -105,7 +105,7 @@ fn check(routes: &RoutePlan, ways: &[Way], options: &RouteOptions, what: &str) {
         if options.objective == Objective::Success {
             assert!(near(route.expected_secs, way.expected_secs), "{what}");
         }
-        // Any path of the same cost is fine, but with its own figures.
+        // Any path of the same cost is valid, but with its own figures.
         let edges: Vec<EdgeId> = route.steps.iter().map(|step| step.edge).collect();
         let own = ways.iter().find(|way| way.edges == edges).unwrap_or_else(|| panic!("no such way: {what}"));
         assert!(near(route.expected_secs, own.expected_secs), "{what}");
@@ -233,7 +233,7 @@ fn sampled_bounds_and_a_resolution_change_little() {
     let (mut same, mut all) = (0, 0);
     for seed in 0..500 {
         let (mut world, from, to, options) = question(seed, &mut random);
-        // Slow changes, as over a day.
+        // The forecasts change slowly, as over a day.
         world.stretch_secs = 600.0;
         let options = RouteOptions { alternatives: 0, horizon_secs: 1e5, ..options };
         let Some(best) = ways(&world, from, to, 0.0, &options).into_iter().next() else { continue };

@@ -1,4 +1,4 @@
-//! Results and refusals beside the best path.
+//! Results beside the best path, and refused requests.
 
 use tidemap_map::topology::Topology;
 
@@ -20,12 +20,12 @@ fn the_figures_of_a_street_follow_from_the_formulae() {
     let starts: Vec<f64> = route.steps.iter().map(|step| step.start_secs).collect();
     assert_eq!(starts, [100.0, 110.0, 120.0]);
     assert_eq!(route.arrival_secs, 130.0);
-    // A quarter of a failure for each edge, each 70 s.
+    // Each edge has a quarter of a failure on average, each of 70 s.
     assert!((route.expected_secs - 3.0 * (10.0 + 0.25 * 70.0)).abs() < 1e-9);
     assert_eq!(route.cost, route.expected_secs);
     assert!((route.success - 0.512).abs() < 1e-12);
     let (edge, whole) = (route.steps[0].success_interval, route.success_interval);
-    // Beta(7.2, 1.8).
+    // The distribution is Beta(7.2, 1.8).
     assert!(edge.lower > 0.5 && edge.lower < 0.6 && edge.upper > 0.95 && edge.upper < 1.0, "{edge:?}");
     assert!(whole.lower < edge.lower && whole.upper < edge.upper && whole.contains(0.512), "{whole:?}");
     let success = ask(When::DepartAt(0.0), &RouteOptions::default()).unwrap().routes.remove(0);
@@ -156,8 +156,8 @@ fn options_out_of_range_are_refused() {
 
 #[test]
 fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
-    // From 0 to node 2 over 1, or directly in the same time with less success; from 1 to the goal, 3, good only from 25
-    // s on.
+    // Node 2 can be reached from 0 through 1, or directly in the same time with less success; the edge from node 1 to
+    // the goal, 3, is good only from 25 s on.
     let mut topology = Topology::new();
     let nodes: Vec<NodeId> = (0..4)
         .map(|node| {

@@ -17,7 +17,7 @@ pub(crate) struct World {
 }
 
 impl World {
-    /// Up to eight nodes, some parallel edges, some closed at times. Whole numbers make ties.
+    /// Creates up to eight nodes, some parallel edges, some closed at times. Whole numbers make ties.
     pub(crate) fn random(seed: u64) -> World {
         let mut random = SmallRng::seed_from_u64(seed);
         let count = random.random_range(2..=8);

@@ -1,4 +1,4 @@
-//! The best order against dynamic programming over all sets, which knows no bounds.
+//! Checks the best order against dynamic programming over all sets, which uses no bounds.
 
 use super::*;
 

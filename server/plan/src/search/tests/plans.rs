@@ -93,7 +93,7 @@ fn what_cannot_be_reached_is_reported() {
     let none = plan(&flat, &[(island, 0.1)], &SearchOptions::default());
     assert_eq!(none, Err(SearchError::Unreachable { start: 0 }));
 
-    // There is an edge into the closet, and none out of it; the same for the other trap.
+    // There is an edge into the closet, and none out of it; this also holds for the other trap.
     let back = flat.edge_between(closet, far, None).unwrap().id;
     flat.remove_edge(back).unwrap();
     let out = flat.edge_between(near, NodeId(0), None).unwrap().id;
@@ -238,7 +238,8 @@ fn a_search_ends_where_little_remains_or_it_is_not_worth_it() {
     assert_eq!(unlikely.walk.len(), 2);
     assert!((unlikely.remains - 0.2).abs() < 1e-12);
     assert_eq!(unlikely.stopped, Some(StopReason::Unlikely));
-    // To gain the last 0.2 takes 25 s and more; 0.3 at 5 s is worth it at a cost of 0.02 a second, 0.15 at 30 s is not.
+    // The gain of the last 0.2 takes 25 s and more. At a cost of 0.02 a second, 0.3 at 5 s is worth it, 0.15 at 30 s is
+    // not.
     let dear = stopped(Stop { cost_per_sec: Some(0.05), ..Stop::default() });
     assert_eq!((steps(&dear), dear.stopped), (vec![(0, 0.0), (1, 5.0)], Some(StopReason::NotWorthIt)));
     let cheap = stopped(Stop { cost_per_sec: Some(0.0), ..Stop::default() });

@@ -1,4 +1,4 @@
-//! Traversals as a stream sends them: what is taken, skipped, refused, and what ends the stream.
+//! Tests traversals as a stream sends them: the ones taken, skipped and refused, and the errors that end the stream.
 
 use tidemap_map::{ids::RefusalReason, report::Report};
 use tidemap_proto::{
@@ -40,7 +40,7 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
     assert!(intake.take_sent_reports(message(1, &trips)).expect("fine").is_none());
     let observations = Some(encode(&[3], &[0], &[1.0], vec!["door".to_owned()]));
     intake.take_sent(v1::ObservationBatch { first_sequence: 3, observations }).expect("fine").expect("new");
-    // The second was taken before; the number between is that of the observation.
+    // The second traversal was taken before; the number between belongs to the observation.
     let more = [trips[1].clone(), trip("Hall", 0, 0, false), trip("Hall", 9, 12, true)];
     let other = intake.take_sent_reports(message(2, &more)).expect_err("other content");
     assert_eq!(other, IntakeError::DataMismatch { first: 3, last: 3, next: 4 });

@@ -32,17 +32,17 @@ impl RayCells {
     }
 
     fn of(&self, ranges: impl Iterator<Item = f64>, max_range_m: f64) -> u64 {
-        // NaN is no reading, and negative ranges are ignored.
+        // A NaN is not a reading, and negative ranges are ignored.
         ranges.map(|range| (range.min(max_range_m).max(0.0) * self.per_metre + 4.0).min(self.max_cells)).sum::<f64>()
             as u64
     }
 
-    /// Of a part of a scan as sent. The limits may be in another part.
+    /// The bound for a part of a scan as it was sent. The limits may be in another part.
     pub(super) fn of_part(&self, rays: SentRays<'_>) -> u64 {
         self.of_scan(SentRays { max_range_m: None, ..rays })
     }
 
-    /// Of a scan that is complete in one message.
+    /// The bound for a scan that is complete in one message.
     pub(super) fn of_scan(&self, rays: SentRays<'_>) -> u64 {
         let max = rays.max_range_m.map_or(f64::INFINITY, f64::from);
         match rays.readings {
@@ -51,7 +51,7 @@ impl RayCells {
         }
     }
 
-    /// Of readings that will be ray-cast.
+    /// The bound for readings that will be ray-cast.
     pub(super) fn of_readings(&self, readings: &Readings) -> u64 {
         let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
         match &readings.rays {
@@ -90,7 +90,7 @@ struct CastPermits {
 #[derive(Debug)]
 struct Queue {
     free: usize,
-    /// The number of the next cast that asks, and of the next that is served.
+    /// The number of the next cast that requests a permit, and of the next that gets one.
     next: u64,
     first: u64,
 }
@@ -118,7 +118,7 @@ impl CastPermits {
         queue.free -= 1;
         queue.first += 1;
         drop(queue);
-        // There may be a permit for the next one too.
+        // There may also be a permit for the next cast.
         self.moved.notify_all();
         CastPermit(self)
     }

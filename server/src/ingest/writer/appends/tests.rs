@@ -1,4 +1,4 @@
-//! Failures of appends, and the memory of those in flight.
+//! Tests failures of appends, and the memory of appends in flight.
 
 use tidemap_grid::{index::TileIndex, scan::Scans};
 use tidemap_map::{
@@ -23,7 +23,7 @@ impl Appends {
         self.in_flight.len()
     }
 
-    /// Whether everything in flight is the start of an update.
+    /// Whether all appends in flight are starts of updates.
     pub(in crate::ingest::writer) fn are_update_starts(&self) -> bool {
         self.in_flight.iter().all(|append| matches!(append, InFlight::UpdateStart { .. }))
     }
@@ -64,7 +64,8 @@ fn generations(appends: &[InFlight]) -> Vec<u64> {
 fn appends_behind_a_failure_fail_with_it_and_in_order() {
     let mut appends = Appends::default();
     (1..=2).for_each(|generation| appends.push(update(generation)));
-    // The log refuses the third at once, because the first has failed; the answer that says so is outstanding.
+    // The log refuses the third append at once, because the first has failed; the completion of the first is
+    // outstanding.
     assert!(appends.fail(AppendError::AfterFailure, update(3)).is_none());
     assert!(appends.failure().is_none() && !appends.has_room());
     let first = appends.pop().expect("in flight");

@@ -1,4 +1,4 @@
-//! Which handover may be taken next.
+//! Tests which handover may be taken next.
 
 use tokio::sync::Semaphore;
 

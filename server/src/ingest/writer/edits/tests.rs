@@ -1,4 +1,4 @@
-//! The order of edits, and who is answered.
+//! Tests the order of edits, and which clients get a reply.
 
 use tidemap_map::{name::StateName, site::SiteEdit};
 use tokio::sync::oneshot::{self, error::TryRecvError};

@@ -1,4 +1,4 @@
-//! When a save is due, and what happens to the history of snapshots that are not saved.
+//! Tests when a save is due, and what happens to the history of unsaved snapshots.
 
 use tidemap_map::ids::StateId;
 use tidemap_model::Sample;
@@ -77,7 +77,7 @@ fn after_a_failed_save_only_its_pause_counts() {
 fn history_is_kept_until_a_save_has_stored_it() {
     let mut saves = saves();
     saves.push(of_generation(1));
-    // The next update needs the room of the snapshot.
+    // The next update needs the memory of the snapshot.
     saves.drop_unsaved();
     assert!(!saves.has_unsaved() && saves.begin().is_none());
     saves.push(of_generation(2));

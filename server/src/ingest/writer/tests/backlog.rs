@@ -1,4 +1,4 @@
-//! A writer that the test drives by hand: what it takes, and what waits.
+//! Tests a writer that the test drives step by step: what it takes, and what waits.
 
 use super::{
     scans::{Scanner, grid, masks, picture, scanner, tile},
@@ -11,7 +11,7 @@ pub(super) struct Bare {
     pub(super) writer: Writer,
     pub(super) inbox: mpsc::Receiver<Command>,
     pub(super) handle: Arc<MapHandle>,
-    /// Answers of the log that the writer has not got.
+    /// Completions of the log that the writer has not received.
     kept: Vec<Command>,
 }
 
@@ -30,7 +30,7 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
 }
 
 impl Bare {
-    /// Executes the received commands, except the answers of the log.
+    /// Executes the received commands, except the completions of the log.
     pub(super) fn take_in(&mut self) {
         for command in self.inbox.try_iter().collect::<Vec<_>>() {
             match command {
@@ -90,14 +90,14 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     let (mut a, mut b) = (bare.scanner("a").await, bare.scanner("b").await);
     let all: Vec<u16> = (0..512).collect();
     for i in 0..20 {
-        // Each scan is the same to its stream, but a change to the map.
+        // Each scan is equal for its stream, but a change for the map.
         a.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&all, &all))])]);
         b.send(&bare.handle, &[(NOON - HOUR + i, vec![(tile(0), masks(&[1], &[]))])]);
         bare.take_in();
         assert!(bare.writer.appends.bytes() <= 4000 + 5000, "{}", bare.writer.appends.bytes());
     }
     assert!(bare.writer.backlog.len() >= 36, "{}", bare.writer.backlog.len());
-    // The end of a stream waits behind its scans, and the next stream of the key behind that.
+    // The end of a stream waits behind its scans, and the next stream of the key waits behind that end.
     assert!(
         bare.handle
             .send(Command::StreamData { session: b.robot.opened.session, data: StreamData::End { clean: true } })

@@ -1,5 +1,5 @@
-//! A follower that reads the groups of a writer's log from its files: it holds the same after every update, however the
-//! groups are told, and where it is restarted.
+//! Tests a follower that reads the groups of a writer's log from its files. It has the same content after every update,
+//! for any division of the groups into events, and for any point of a restart.
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
@@ -34,7 +34,7 @@ fn open(dir: &Path) -> Replica {
     Replica::open_with(dir, &spec(), None, |context| context.max_states = 40)
 }
 
-/// What a map holds after an update, as far as readers see it.
+/// The content of a map after an update, as far as readers see it.
 #[derive(Debug, PartialEq)]
 pub(super) struct Shown {
     position: u64,
@@ -76,11 +76,11 @@ fn contents(dir: &Path, folder: &str) -> BTreeMap<String, Vec<u8>> {
     files.iter().map(|path| (name(path), fs::read(path).expect("readable"))).collect()
 }
 
-/// What the writer has left.
+/// The data that the writer has left.
 struct Written {
-    /// After each update.
+    /// The content after each update.
     shown: Vec<Shown>,
-    /// Of all updates.
+    /// The checkpoints of all updates.
     checkpoints: BTreeMap<String, Vec<u8>>,
     history: BTreeMap<String, Vec<u8>>,
     groups: Vec<RecordGroup>,
@@ -90,7 +90,7 @@ fn named(name: &str, shape: StateShape, reporting: Option<StatedReporting>) -> O
     Some(NewName { name: StateName::new(name).expect("valid"), shape: Some(shape), reporting })
 }
 
-/// A day of observations of states of all kinds; of some, ahead of their time.
+/// Sends a day of observations of states of all kinds; for some states, with times in the future.
 pub(super) async fn observe(replica: &Replica, round: u64) {
     let mut robot = hello(&replica.handle, "r", round, false).await.expect("accepted");
     let start = NOON - 12 * HOUR - (ROUNDS + 1 - round) as i64 * DAY;
@@ -142,7 +142,7 @@ pub(super) async fn observe(replica: &Replica, round: u64) {
     }
 }
 
-/// A day of scans; gives what the last one shows: tiles by x.
+/// Sends a day of scans; returns the tiles of the last scan, by x.
 pub(super) async fn scan(replica: &Replica, name: &str, round: u64) -> Vec<(i32, TileMasks)> {
     let mut scanner = scanner(&replica.handle, name, false).await;
     let start = NOON - 12 * HOUR - (ROUNDS + 1 - round) as i64 * DAY;
@@ -184,7 +184,7 @@ async fn write(dir: &Path) -> Written {
         scan(&writer, "scanner", round).await;
         let before = writer.handle.position();
         writer.update();
-        // Its start and its end.
+        // The events of the update: its start and its end.
         writer.reaches(before + 2).await;
         all.push(shown(&writer, round).await);
         writer.stop().await;
@@ -199,19 +199,19 @@ async fn write(dir: &Path) -> Written {
     Written { shown: all, checkpoints, history: contents(dir, "history"), groups }
 }
 
-/// When a follower is killed and opened again.
+/// The time at which a follower is killed and opened again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Restart {
     Never,
-    /// Stopped in order, after each update.
+    /// The follower is stopped in order, after each update.
     AfterEach,
-    /// Killed while an update runs.
+    /// The follower is killed while an update runs.
     InUpdate,
-    /// Killed while an update runs that has ended at the writer.
+    /// The follower is killed while an update runs that has ended at the writer.
     InUpdateThatEnded,
 }
 
-/// A follower, and where its data is.
+/// A follower, and the folder of its data.
 struct Follower {
     dir: PathBuf,
     replica: Replica,
@@ -225,7 +225,7 @@ impl Follower {
         Self { dir, replica, log }
     }
 
-    /// Appends groups from the end of its own log on up to a position, and tells their events in pieces.
+    /// Appends groups from the end of its own log up to a position, and sends their events in pieces.
     async fn follow(&self, groups: &[RecordGroup], to: u64, piece: usize) {
         let from = self.log.end().position;
         for group in groups.iter().filter(|group| group.before.position >= from && group.after.position <= to) {
@@ -237,7 +237,7 @@ impl Follower {
         assert_eq!(self.log.end().position, to, "groups end there");
     }
 
-    /// Opens what a kill leaves, while the update thread is busy.
+    /// Opens the data that a kill leaves, while the update thread is busy.
     async fn killed(self, generation: u64) -> Self {
         let dir = self.dir.with_extension(format!("killed {generation}"));
         copy(&self.dir.join("maps"), &dir.join("maps"));
@@ -301,7 +301,7 @@ async fn a_follower_holds_what_the_writer_holds_after_every_update() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let written = write(&dir.path().join("writer")).await;
     assert!(written.groups.iter().any(|group| group.records() > 1), "groups of several records");
-    // Of states, and of scans.
+    // There is history of states, and of scans.
     assert_eq!((written.shown.len() as u64, written.history.len() as u64), (ROUNDS, 2 * ROUNDS));
     let ways = [
         (usize::MAX, Restart::Never),

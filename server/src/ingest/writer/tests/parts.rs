@@ -1,4 +1,5 @@
-//! Rows of changes that stand for more than one update learns: several updates follow each other, as parts of one job.
+//! Tests rows of changes that represent more readings than one update learns: several updates follow each other, as
+//! parts of one job.
 
 use tidemap_map::{
     event::{RowKind, StateShape, StatedReporting},
@@ -14,7 +15,7 @@ use crate::ingest::{
 
 const DAY: i64 = 24 * HOUR;
 
-/// Adds a state that reports changes, read off every `step_secs` seconds.
+/// Adds a state that reports changes, and that is read every `step_secs` seconds.
 async fn add(handle: &MapHandle, name: &str, step_secs: u32) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
@@ -40,7 +41,7 @@ async fn an_update_that_leaves_rows_goes_on_until_all_are_learned() {
     let mut status = job.watch();
     let published = status.wait_for(|status| status.phase.has_ended()).await.expect("it ends").published;
     let view = handle.view();
-    // Six days, at most two at a time; readings are counted from above.
+    // There are six days, at most two in one update; readings are counted from above.
     let parts = view.generation();
     assert_eq!(published, Some((parts, view.cut_nanos().expect("a cut"))), "{:?}", job.status());
     assert!((3..=7).contains(&parts), "{parts}");
@@ -74,7 +75,7 @@ async fn a_restart_goes_on_with_what_an_update_left() {
     for day in 0..7 {
         robot.observe(&handle, NOON - (8 - day) * DAY).await;
     }
-    // The first part has its turn, and the second waits for ours.
+    // The first part has its turn, and the second waits for the turn of this test.
     let busy = turns.begin();
     let job = first.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
     assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job }));
@@ -92,7 +93,7 @@ async fn a_restart_goes_on_with_what_an_update_left() {
     copy(&before.join("maps"), &after.join("maps"));
     std::fs::copy(before.join("MANIFEST"), after.join("MANIFEST")).expect("copied");
 
-    // As before: a first part that was not saved yet is learned again, and must not learn more.
+    // A first part that was not saved yet is learned again, and must not learn more.
     let second = bench_with(&after, NOON, |context| context.update_readings_max = 0);
     let handle = second.catalog.get("office").expect("the map");
     for _ in 0..6_000 {

@@ -1,5 +1,5 @@
-//! An update that was cut off: repeated beside the map, which is served from the generation before, with the same
-//! result.
+//! Tests an update that was cut off: it is repeated beside the map, which is served from the generation before, and has
+//! the same result.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use super::{
     *,
 };
 
-/// After all observations.
+/// A time after all observations.
 const NOW: i64 = NOON + 9 * 24 * HOUR;
 
 /// Keeps the turn of updates until the result is dropped.
@@ -53,7 +53,7 @@ async fn the_map_is_served_from_the_generation_before_while_its_update_is_repeat
         let mut busy = None;
         let bench = bench_with(&killed, NOW, |context| busy = Some(keep_busy(context)));
         let handle = bench.catalog.get("office").expect("the map");
-        // What was learned before is there, and newer observations count.
+        // The earlier models are there, and newer observations count.
         let view = handle.view();
         assert_eq!((view.generation(), view.observations()), (last, observed + life - 1));
         assert_eq!(model(&handle), before);
@@ -62,7 +62,7 @@ async fn the_map_is_served_from_the_generation_before_while_its_update_is_repeat
         robot.observe(&handle, NOON + 8 * 24 * HOUR + life as i64).await;
         let view = handle.view();
         assert_eq!((view.generation(), view.observations(), view.pending()), (last, observed + life, 8 * 48 + life));
-        // As after another kill.
+        // This is the state after another kill.
         let from = std::mem::replace(&mut killed, dir.path().join(format!("killed {life}")));
         copy(&from.join("maps"), &killed.join("maps"));
         fs::copy(whole.join("MANIFEST"), killed.join("MANIFEST")).expect("copied");

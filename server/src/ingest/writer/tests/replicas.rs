@@ -1,4 +1,4 @@
-//! Maps whose log daemons share, as the tests of roles and followers start them.
+//! Maps with a shared log, as the tests of roles and followers start them.
 
 use std::sync::Mutex;
 
@@ -12,7 +12,7 @@ use crate::{
     ingest::{digests::DigestStatus, update_turns::UpdateTurn},
 };
 
-/// The thread of a map whose log daemons share, on a store of its own.
+/// The thread of a map with a shared log, on a store of its own.
 pub(super) struct Replica {
     pub(super) context: Context,
     pub(super) clock: Arc<SetClock>,
@@ -25,8 +25,8 @@ pub(super) struct Replica {
 }
 
 impl Replica {
-    /// Opens the store of a folder, and the map of it, which is made where there is none. `log`: instead of the map's
-    /// own.
+    /// Opens the store of a folder, and its map, which is created where there is none. `log` replaces the map's own
+    /// log.
     pub(super) fn open(dir: &Path, spec: &MapSpec, log: Option<Arc<dyn EventLog>>) -> Self {
         Self::open_with(dir, spec, log, |_| {})
     }
@@ -53,7 +53,7 @@ impl Replica {
         Self { context, clock, id, handle, forks, fatal, log, tell }
     }
 
-    /// Stops the map, which saves what is not saved, and closes the store.
+    /// Stops the map, which saves its unsaved data, and closes the store.
     pub(super) async fn stop(self) {
         self.handle.stop(Ending::Shutdown).await;
         self.context.store.close();
@@ -63,7 +63,7 @@ impl Replica {
         (self.tell)(ReplicaEvent::Writing { epoch });
     }
 
-    /// As [`Self::write`], with the record of the log that says so.
+    /// Does the same as [`Self::write`], with the record of the epoch in the log.
     pub(super) async fn take_over(&self, epoch: u64) {
         let event = Event::Epoch(Epoch { epoch, writer: "a".to_owned(), version: "1".to_owned(), maths: 1 });
         let (done, position) = oneshot::channel();
@@ -81,14 +81,14 @@ impl Replica {
         (self.tell)(ReplicaEvent::Forked { common });
     }
 
-    /// Tells events of the log; gives the answer that comes when they are applied.
+    /// Sends events of the log; returns the receiver that is notified when they are applied.
     pub(super) fn tell(&self, events: Vec<(u64, Event)>) -> oneshot::Receiver<()> {
         let (applied, answer) = oneshot::channel();
         (self.tell)(ReplicaEvent::Followed { events, applied });
         answer
     }
 
-    /// Requests an update; gives its job.
+    /// Requests an update; returns its job.
     pub(super) fn update(&self) -> Arc<UpdateJob> {
         let job = self.context.jobs.create(self.handle.spec.name.clone(), UpdateCause::Request, NOON);
         let command = Command::Update { until_nanos: None, cause: UpdateCause::Request, job: Arc::clone(&job) };
@@ -118,7 +118,7 @@ impl Replica {
         panic!("the view shows {} events, not {position}", self.handle.position());
     }
 
-    /// How far the producers' sequences are durable.
+    /// The durable sequence numbers of the producers.
     pub(super) async fn marks(&self) -> Vec<ProducerMark> {
         let (reply, answer) = oneshot::channel();
         assert!(self.handle.send(Command::ListProducers(reply)));
@@ -143,7 +143,7 @@ pub(super) async fn compared(replica: &Replica, generation: u64, is_equal: bool)
     panic!("generation {generation} is not compared");
 }
 
-/// A log in memory that daemons share: it can hold appends back, and refuse them for another writer.
+/// A shared log in memory: it can hold appends back, and refuse them for another writer.
 #[derive(Default)]
 pub(super) struct SharedMemory {
     state: Mutex<MemoryState>,
@@ -169,12 +169,12 @@ impl SharedMemory {
         (1..).zip(self.state.lock().expect("not poisoned").events.iter().cloned()).collect()
     }
 
-    /// From now on appends are not answered.
+    /// From now on appends are not completed.
     pub(super) fn hold(&self) {
         self.state.lock().expect("not poisoned").holds = true;
     }
 
-    /// Waits until so many appends are not answered.
+    /// Waits until `count` appends are not completed.
     pub(super) async fn holds(&self, count: usize) {
         for _ in 0..6_000 {
             if self.state.lock().expect("not poisoned").held.len() == count {
@@ -185,7 +185,7 @@ impl SharedMemory {
         panic!("{count} appends are not on their way");
     }
 
-    /// Another daemon writes: what is in flight fails, and what follows.
+    /// Another daemon writes: appends in flight fail, and so do later ones.
     pub(super) fn depose(&self, writer: &str) {
         let held = {
             let mut state = self.state.lock().expect("not poisoned");
@@ -197,7 +197,7 @@ impl SharedMemory {
         }
     }
 
-    /// The other daemon appends; gives the events with their positions.
+    /// The other daemon appends; returns the events with their positions.
     pub(super) fn append_elsewhere(&self, events: Vec<Event>) -> Vec<(u64, Event)> {
         let mut state = self.state.lock().expect("not poisoned");
         let first = state.events.len() as u64 + 1;
@@ -210,7 +210,7 @@ impl SharedMemory {
         self.state.lock().expect("not poisoned").writer = None;
     }
 
-    /// Waits until the log has so many events; gives them.
+    /// Waits until the log has `count` events; returns them.
     pub(super) async fn grown(&self, count: usize) -> Vec<(u64, Event)> {
         for _ in 0..6_000 {
             let events = self.events();

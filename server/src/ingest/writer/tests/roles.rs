@@ -1,4 +1,4 @@
-//! A map whose log daemons share: what it takes and does as a follower and as the writer, and between.
+//! Tests a map with a shared log: what it accepts and does as a follower and as the writer, and between.
 
 use tidemap_cluster::replica::ReplicaEvent;
 use tidemap_map::{
@@ -146,7 +146,7 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
     assert_eq!(hello(handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(Some("b")))));
     assert_eq!((handle.position(), handle.view().observations(), handle.view().len()), (1, 1, 1));
 
-    // The robot sends them to the other daemon.
+    // The robot sends these to the other daemon.
     replica.tell(log.append_elsewhere(vec![observed(2..=3, NOON)])).await.expect("applied");
     assert_eq!((handle.position(), handle.view().observations()), (2, 3));
     log.reinstate();
@@ -181,7 +181,7 @@ async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer(
     bare.writer.handle(Command::Replica(ReplicaEvent::Writing { epoch: 1 }));
     let mut robot = bare.robot("r").await;
     send(&bare.handle, &mut robot, vec![NOON]);
-    // What the robot sends, and the answer of the log.
+    // The data that the robot sends, and the completion by the log.
     for _ in 0..2 {
         let command = bare.inbox.recv_timeout(Duration::from_secs(60)).expect("a command");
         bare.writer.handle(command);
@@ -294,7 +294,7 @@ async fn an_update_that_the_log_begins_waits_for_the_one_before() {
     assert_eq!((replica.handle.position(), replica.handle.generation()), (4, 0));
     let job = &replica.context.jobs.list()[0];
     assert_eq!((update_cause(job), job.status().observations), (Some(UpdateCause::Midnight), 1));
-    // It does not write before it has applied all that the log had.
+    // The daemon does not write before it has applied all events of the log.
     replica.write(2);
     assert_eq!(hello(&replica.handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(None))));
 

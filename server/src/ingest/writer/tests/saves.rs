@@ -1,4 +1,4 @@
-//! When a writer saves, and what it does while saves fail.
+//! Tests when a writer saves, and what it does while saves fail.
 
 use std::sync::atomic::AtomicU64;
 
@@ -27,13 +27,13 @@ async fn a_save_that_has_failed_waits_and_holds_no_update_up() {
     writer.saves.set_history_bytes(usize::MAX);
     writer.saved(Err(("the disk is full".to_owned(), snapshot())));
     assert_eq!(writer.saves.history_bytes(), 0, "counted anew");
-    // However much is unsaved.
+    // This holds for any amount of unsaved history.
     writer.saves.set_history_bytes(usize::MAX);
     assert!(!writer.is_save_due() && writer.saves.has_unsaved());
     writer.pump();
     assert!(!writer.saves.is_saving());
     assert!(*writer.saturated.borrow(), "streams wait while history cannot be saved");
-    // As if the retry were due: an update still goes first, and the unsaved snapshot is kept until it starts.
+    // The retry is now due: an update still goes first, and the unsaved snapshot is kept until it starts.
     writer.saves.forget_last_save();
     assert!(writer.is_save_due());
     let job = bare.bench.jobs.create(bare.handle.spec.name.clone(), UpdateCause::Request, NOON);

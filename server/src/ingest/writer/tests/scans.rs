@@ -1,4 +1,4 @@
-//! Scans from encoded messages to the map: applied, refused, rolled back, repeated and read again.
+//! Tests scans from encoded messages to the map: applied, refused, rolled back, repeated and read again.
 
 use tidemap_grid::{
     index::{CellIndex, TileIndex},
@@ -78,7 +78,7 @@ impl Scanner {
         }
     }
 
-    /// Waits until everything sent is acknowledged; gives the refusals.
+    /// Waits until all sent scans are acknowledged; returns the refusals.
     pub(super) async fn settled(&mut self) -> Vec<(u64, RefusalReason)> {
         let mut all = Vec::new();
         loop {
@@ -132,7 +132,7 @@ async fn scans_reach_the_map_and_outlive_a_restart() {
     let bench = bench(dir.path(), NOON);
     let handle = bench.catalog.get("office").expect("there");
     assert_eq!(picture(&handle), before.0);
-    // A new stream continues after what is durable, with a table of its own.
+    // A new stream continues after the durable scans, with a table of its own.
     let mut scanner = scanner(&handle, "r", false).await;
     assert_eq!((scanner.robot.opened.durable_sequence, scanner.crc), (3, before.1));
     assert_eq!(scanner.show(&handle, &[(NOON, vec![(tile(0), masks(&[1, 2], &[1]))])]).await, []);
@@ -180,7 +180,7 @@ async fn refused_scans_use_up_their_numbers_and_are_remembered() {
     let reasons = [(2, RefusalReason::TileLimit), (3, RefusalReason::Time), (5, RefusalReason::Empty)];
     assert_eq!(refused, reasons);
     assert_eq!(picture(&handle), (vec![(0, masks(&[1, 2, 3, 4], &[3]))], 3, 2 + 3 + 4));
-    // Ahead of the clock: the maximum number of tiles wait.
+    // These times are in the future: the maximum number of tiles wait.
     let ahead: Vec<_> = (0..300).map(|i| (NOON + HOUR + i, vec![(tile(0), masks(&[1], &[]))])).collect();
     let mut refused = Vec::new();
     for some in ahead.chunks(60) {
@@ -219,7 +219,7 @@ async fn a_new_stream_that_sends_known_scans_again_has_them_remembered() {
     );
     let mut second = scanner(&handle, "r", false).await;
     assert_eq!(second.robot.opened.durable_sequence, 4);
-    // From the third on, two of which are known.
+    // Encodes the scans from the third on, two of which are known.
     let encoded: Vec<_> = scans[2..].iter().map(|(_, shown)| second.encoder.encode(shown).expect("tiles")).collect();
     let times: Vec<i64> = scans[2..].iter().map(|(time, _)| *time).collect();
     second.send_message(&handle, batch(3, &times, encoded));
@@ -241,16 +241,16 @@ async fn what_fails_on_its_way_is_taken_back() {
         let mut b = hello(&handle, &format!("b{round}"), 0, false).await.expect("accepted");
         let mut d = scanner(&handle, &format!("d{round}"), false).await;
         a.send(&handle, &[(NOON - 8, vec![(tile(0), masks(&[1], &[1])), (tile(4), masks(&[1], &[]))])]);
-        // The log refuses a negative time, which intake never passes; what comes behind it fails with it.
+        // The log refuses a negative time, which intake never passes; the events behind it fail with it.
         send(&handle, &mut b, vec![-1]);
         d.send(&handle, &[(NOON - 7, vec![(tile(0), masks(&[3], &[3])), (tile(5 + round), masks(&[2], &[]))])]);
         assert_eq!(a.settled().await, []);
         assert!(matches!(b.events.recv().await, Some(SessionEvent::End(Ending::Storage(_)))));
-        // Its scans came during the failure, or before: the stream ends, or it is acknowledged.
+        // The scans of this stream came during the failure, or before: the stream ends, or is acknowledged.
         let is_taken = matches!(d.robot.events.recv().await, Some(SessionEvent::Ack { .. }));
         let expected = if is_taken { masks(&[3], &[3]) } else { masks(&[1], &[1]) };
         assert!(picture(&handle).0.contains(&(0, expected)));
-        // The log takes nothing before everything in flight is answered.
+        // The log takes nothing before all appends in flight are completed.
         while hello(&handle, "probe", 9, false).await.is_err() {}
         // The other streams continue, with tile ids that the failure has moved.
         assert_eq!(c.show(&handle, &[(NOON - 6, vec![(tile(-1 - round), masks(&[6], &[]))])]).await, []);
@@ -287,7 +287,7 @@ async fn readings_are_cast_beside_the_tiles_of_the_same_stream() {
     assert_eq!(picture(&handle).0, [(0, masks(&[0, 1, 2], &[2]))]);
     robot.send_message(&handle, message(3, cloud(vec![1e9, 0.0, 0.0]), false));
     assert_eq!(robot.settled().await, [(3, RefusalReason::Scan)]);
-    // The stream's own tiles are as it showed them.
+    // The stream's own tiles are as the stream showed them.
     assert_eq!(robot.show(&handle, &[(NOON - 7, vec![(tile(0), masks(&[1, 2, 3], &[2]))])]).await, []);
     assert_eq!(picture(&handle).0, [(0, masks(&[1, 2, 3], &[2]))]);
 }
@@ -330,7 +330,7 @@ async fn updates_of_scans_are_saved_with_their_history_and_paged_out() {
     let kept: u64 =
         history.grid_days(0, i64::MAX, None).map(|days| days.expect("readable").outliers.scans.len() as u64).sum();
     assert_eq!(kept, 120);
-    // What it learns next is saved, and then read from the disk, by queries and by the next update.
+    // The data that it learns next is saved, and then read from the disk, by queries and by the next update.
     for (round, folded) in [(1, 160), (2, 200)] {
         let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);
         assert!(handle.send(Command::Update { until_nanos: None, cause: UpdateCause::Request, job: Arc::clone(&job) }));
@@ -379,7 +379,7 @@ async fn as_many_tiles_wait_for_their_time_as_may_also_after_a_restart_and_no_lo
         let handle = create_with(&bench, Some(grid())).await;
         let mut robot = scanner(&handle, "r", false).await;
         assert_eq!(robot.show(&handle, &ahead(0)).await, []);
-        // 250 may wait: each is a scan and a tile, and a tile in flight.
+        // 250 may wait: each scan counts a scan and a tile, and a tile in flight.
         assert_eq!(robot.show(&handle, &ahead(90)).await.len(), 90 - (250 - 2 * 90));
         bench.catalog.stop().await;
         bench.catalog.context().store.close();

@@ -1,4 +1,4 @@
-//! States that are added before anything is observed of them, and the effect of a state's kind on its observations.
+//! Tests states that are added before their first observation, and the effect of a state's kind on its observations.
 
 use tidemap_map::{
     event::{Dimensions, Position, SequenceSpan, StateKind, StateSensor, StateShape},
@@ -34,7 +34,7 @@ async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<()
     answer.await.expect("an answer")
 }
 
-/// Sends these values of the stream's only state; gives the refusals.
+/// Sends these values of the stream's only state; returns the refusals.
 async fn send(
     handle: &MapHandle,
     robot: &mut Robot,

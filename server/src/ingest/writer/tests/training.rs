@@ -1,4 +1,4 @@
-//! Models of every kind: trained at the nightly update, and the same when the update is repeated.
+//! Tests models of every kind: they are trained at the nightly update, and are the same when the update is repeated.
 
 use std::{fs, path::PathBuf};
 
@@ -13,7 +13,7 @@ use super::*;
 const DAY: i64 = 24 * HOUR;
 pub(super) const DAYS: i64 = 24;
 
-/// Open by day, random during an hour of each day; every half hour.
+/// A state that is open by day and random during an hour of each day; every half hour.
 fn day(day: i64) -> (Vec<i64>, Vec<f64>) {
     let value = |slot: i64| f64::from(u8::from((16..36).contains(&slot) && (slot * 31 + day * 17) % 13 != 5));
     let start = NOON - 12 * HOUR - (DAYS - day) * DAY;
@@ -26,8 +26,8 @@ pub(super) async fn update(bench: &Bench, handle: &MapHandle, count: usize) {
     ended(bench, count).await;
 }
 
-/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Gives what it
-/// learned.
+/// Fills a data folder with a map that was updated after each of many days, in two runs of a daemon. Returns the
+/// learned model.
 pub(super) async fn learn(dir: &Path, retention: Retention) -> StateModel {
     let mut learned = None;
     for days in [0..DAYS / 2, DAYS / 2..DAYS] {
@@ -88,7 +88,7 @@ async fn updates_that_are_run_again_train_the_same_models() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let expected = learn(dir.path(), Retention::Forever).await;
     let known = expected.alternatives().expect("learned");
-    // First after seven days, then every seven.
+    // The model is trained first after seven days, then every seven days.
     let newest = known.learned_day().expect("folded").0;
     for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
         let (model, day) = known.trained(kind).expect("trained");
@@ -101,7 +101,7 @@ async fn updates_that_are_run_again_train_the_same_models() {
     for (name, checkpoints, keeps_history) in
         [("saved", 2, true), ("saved at half-time", 1, true), ("from the log", 0, true), ("only the log", 0, false)]
     {
-        // Without the index.
+        // The copy is opened without the index.
         let again = dir.path().join(name);
         copy(&dir.path().join("maps"), &again.join("maps"));
         fs::copy(dir.path().join("MANIFEST"), again.join("MANIFEST")).expect("copied");
@@ -135,8 +135,8 @@ async fn a_map_that_keeps_nothing_has_no_trained_model() {
     );
 }
 
-/// What a map learns of some days with a limit of pending observations, and how often an update made room. One day has
-/// 48 observations.
+/// Learns some days with a limit of pending observations. Returns the model of the state, and the number of updates
+/// that made room. One day has 48 observations.
 async fn learn_with(limit: u64) -> (StateModel, usize) {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = bench_with(dir.path(), NOON, |context| context.max_pending.observations = limit);
@@ -164,7 +164,7 @@ async fn updates_that_make_room_take_whole_days_and_train_as_others() {
     let (trained, day) = at_once.alternatives().expect("learned").trained(ModelKind::Calibrated).expect("trained");
     assert!(matches!(trained, TrainedModel::Calibrated(model) if model.observations() == 14 * 48), "{trained:?}");
     assert_eq!(at_once.alternatives().and_then(|known| known.learned_day()).map(|newest| newest.0 - day.0), Some(3));
-    // The second has two days at most beside the one that goes on.
+    // The second limit allows two days at most beside the day that goes on.
     for (limit, updates) in [(40, 17), (100, 8)] {
         assert_eq!(learn_with(limit).await, (at_once.clone(), updates), "{limit}");
     }

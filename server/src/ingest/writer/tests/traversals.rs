@@ -59,7 +59,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     assert!(handle.send(command));
 }
 
-/// Sends, and waits for the refusals.
+/// Sends traversals, and waits for the refusals.
 async fn refused(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) -> Vec<(u64, RefusalReason)> {
     send(handle, robot, traversals);
     match robot.events.recv().await {
@@ -93,7 +93,7 @@ async fn they_become_states_of_their_edges_and_survive_a_restart() {
         let swift = Traversal { end_nanos: NOON + 1, ..trip("x", NOON, true) };
         let trips = vec![trip("", NOON, true), back, trip("x", NOON - 9 * SEC, false), trip("x", NOON, true), swift];
         let refused = refused(&handle, &mut robot, trips).await;
-        // 3 s of nominal time in a nanosecond is a pace of 3e9, which is a valid number.
+        // 3 s of nominal time in a nanosecond means a pace of 3e9, which is a valid number.
         assert_eq!(refused, [(2, RefusalReason::Edge)]);
         let (probability, continuous) = (StateKind::Probability, StateKind::Continuous);
         let expected = [

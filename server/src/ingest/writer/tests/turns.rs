@@ -21,7 +21,7 @@ impl Side {
         Self { replica, log }
     }
 
-    /// Follows the other up to its end.
+    /// Follows the other daemon up to the end of its log.
     async fn follow(&self, other: &Side) {
         let known = self.log.events().len();
         let events = other.log.events().into_iter().skip(known).map(|(_, event)| event).collect();
@@ -33,7 +33,7 @@ impl Side {
 async fn daemons_that_write_in_turn_hold_the_same() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let sides = ["a", "b"].map(|name| Side::open(dir.path(), name));
-    // Each turn shows tiles that are new, and sends more of the same producers.
+    // Each turn shows new tiles, and sends more data of the same producers.
     for turn in 1..=4 {
         let [writer, follower] = if turn % 2 == 1 { [&sides[0], &sides[1]] } else { [&sides[1], &sides[0]] };
         follower.replica.follow("other");
@@ -46,7 +46,7 @@ async fn daemons_that_write_in_turn_hold_the_same() {
         let before = writer.replica.handle.position();
         writer.replica.update();
         writer.replica.reaches(before + 2).await;
-        // Without an update between them and the next writer's.
+        // There is no update between these scans and those of the next writer.
         let last = scan(&writer.replica, "another", turn).await;
         follower.follow(writer).await;
         compared(&follower.replica, turn, true).await;

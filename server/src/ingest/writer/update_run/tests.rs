@@ -1,4 +1,4 @@
-//! The jobs of updates, and the times of the one that runs.
+//! Tests the jobs of updates, and the times of the running one.
 
 use tidemap_map::live_map::PendingLimits;
 

@@ -1,4 +1,4 @@
-//! The permits are bounded, and the cost of rays is never underestimated.
+//! Tests that the permits are bounded, and that the cost of rays is never underestimated.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
