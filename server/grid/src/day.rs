@@ -1,8 +1,8 @@
 //! The exact scans of one local day that no update has learned yet, tile by tile.
 //!
-//! Invariant: nothing is lost: the masks of each scan follow from what is kept. Scans are numbered in the order of
-//! arrival. A tile's flips refer to the last scan of this day that saw the tile. The size of a day follows what its
-//! scans saw, however many tiles the grid has.
+//! Invariant: nothing is lost: the masks of each scan can be derived from the stored data. Scans are numbered in the
+//! order of arrival. A tile's flips refer to the last scan of this day that saw the tile. The size of a day depends on
+//! the cells that its scans saw, however many tiles the grid has.
 
 use std::sync::Arc;
 
@@ -166,7 +166,7 @@ impl GridDay {
 
     /// The index of a tile, or the index at which it must be inserted.
     fn place(&self, tile: TileId) -> Result<usize, usize> {
-        // The first scan of a day gives its tiles in order.
+        // The tiles of the first scan of a day arrive in order.
         match self.tiles.last() {
             Some((last, _)) if *last < tile => Err(self.tiles.len()),
             _ => self.tiles.binary_search_by_key(&tile, |(tile, _)| *tile),

@@ -1,7 +1,7 @@
 //! The grid of a map as its single writer holds it. Logged scans are applied here.
 //!
-//! Invariant: the state is a function of the scans applied and their order. The cost of a scan follows what it changes,
-//! and the tiles where the observed cells change.
+//! Invariant: the state is a function of the scans applied and their order. The cost of a scan depends on the cells
+//! that it changes, and on the tiles where the observed cells change.
 
 use std::{collections::HashMap, sync::Arc};
 

@@ -1,21 +1,21 @@
 //! The head of the log: scans of streams become differences against the last scan of each tile in log order.
 //!
-//! One tile has several pictures, each with its own lifetime:
+//! There are several records of one tile, each with its own lifetime:
 //!
 //! ```text
-//! client    what it last sent of the tile          for the next differences on the wire
+//! client    tile as the client last sent it        base of the next differences on the wire
 //!   │ wire
-//! intake    what the stream has sent               to decode it, in the task of the stream
+//! intake    tile as the stream has sent it         decodes the stream, in the stream's task
 //!   │ queue
-//! [`StreamTiles`]  what the stream last showed     the same at the writer, one per stream
+//! [`StreamTiles`]  tile as the stream last sent it  copy at the writer, one per stream
 //!   │ [`LogHead::take`]
-//! [`LogHead`]      the last scan handed to the log the base of the next difference; rebuilt after a failure
+//! [`LogHead`]      last scan handed to the log     base of the next difference; rebuilt after a failure
 //!   │ log (append, fdatasync)
-//! `LiveTile::arrival`  the last durable scan        the base that a restart begins with
+//! `LiveTile::arrival`  last durable scan           base after a restart
 //!   │ apply
 //! `LiveTile` and `GridDay`  newest values, pending scans of the day
 //!   │ update
-//! `TileModel`      what an update has learned
+//! `TileModel`      learned data of the updates
 //! ```
 //!
 //! Invariant: a `LogHead` shows the map as it will be when everything handed to the log so far is applied; after a

@@ -27,7 +27,7 @@ pub enum LandmarkError {
         /// The landmark.
         name: String,
     },
-    /// An edit names no landmarks.
+    /// The place has no landmarks.
     #[error("{0:?} has no landmarks")]
     Nothing(String),
     /// Path features belong to edges, all others to nodes.

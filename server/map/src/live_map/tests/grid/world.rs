@@ -69,7 +69,7 @@ pub(crate) fn spec(rng: &mut u64) -> MapSpec {
         periodicities: match random(rng, 4) {
             0 => Periodicities::list(vec![5 * HOUR, 24 * HOUR, 70_000 * SECOND]).expect("valid"),
             _ => Periodicities::harmonics(36 * HOUR, 20).expect("valid"),
-        }, // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
+        }, // Without noise, predictions of exactly 0.5 occur; rounding decides their side.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
         grid: Some(GridSpec { sensor, retention: Retention::Forever, ..GridSpec::new(0.1) }),
         ..MapSpec::new(MapName::new("world").expect("valid"))
