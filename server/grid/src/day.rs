@@ -1,8 +1,8 @@
 //! The exact scans of one local day that no update has learned yet, tile by tile.
 //!
-//! Invariant: nothing is lost: the masks of each scan follow from what is kept. Scans are numbered in the order of
-//! arrival. A tile's flips refer to the last scan of this day that saw the tile. The size of a day follows what its
-//! scans saw, however many tiles the grid has.
+//! Invariant: nothing is lost: the masks of each scan can be derived from the stored data. Scans are numbered in the
+//! order of arrival. A tile's flips refer to the last scan of this day that saw the tile. The size of a day depends on
+//! the cells that its scans saw, however many tiles the grid has.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ pub struct ScanTime {
     pub utc_nanos: i64,
     /// Seconds to add to UTC for local civil time.
     pub offset_secs: i32,
-    /// The sensor that made it.
+    /// The sensor that made the scan.
     pub sensor: SensorId,
 }
 
@@ -29,10 +29,10 @@ impl ScanTime {
     }
 }
 
-/// Scans that follow each other and saw the same tiles.
+/// Consecutive scans that saw the same tiles.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PresenceRun {
-    /// The first of them.
+    /// The first scan of the run.
     pub first: u32,
     /// Number of scans, at least 1.
     pub count: u32,
@@ -41,18 +41,18 @@ pub struct PresenceRun {
 }
 
 impl PresenceRun {
-    /// Its share of [`GridDay::changes`]: a seen tile is a quarter of the size of a scan.
+    /// The share of the run in [`GridDay::changes`]: a seen tile is a quarter of the size of a scan.
     fn changes(&self) -> u64 {
         1 + self.seen.len() as u64 / 4
     }
 }
 
-/// Which bit of a cell.
+/// One of the two bits of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Bit {
-    /// Whether it was observed.
+    /// Whether the cell was observed.
     Observed,
-    /// Whether it was observed as occupied.
+    /// Whether the cell was observed as occupied.
     Occupied,
 }
 
@@ -77,7 +77,7 @@ impl Flip {
         self.packed & 511
     }
 
-    /// Which bit.
+    /// The bit that flips.
     #[inline]
     pub fn bit(self) -> Bit {
         if self.packed & 512 == 0 { Bit::Observed } else { Bit::Occupied }
@@ -87,11 +87,11 @@ impl Flip {
 /// One tile on one day.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DayTile {
-    /// What the day's first scan of the tile showed.
+    /// The masks of the tile in the day's first scan of it.
     pub first: TileMasks,
-    /// What changed from then on, in the order of the scans.
+    /// The changes after the first scan, in the order of the scans.
     pub flips: Vec<Flip>,
-    /// What the last scan showed: `first` with all flips.
+    /// The masks of the tile in its last scan: `first` with all flips.
     pub last: TileMasks,
 }
 
@@ -102,13 +102,13 @@ pub struct GridDay {
     pub day: LocalDay,
     /// Times of the scans.
     pub scans: Vec<ScanTime>,
-    /// Which tiles they saw; the counts add up to their number.
+    /// The tiles that the scans saw; the counts of the runs add up to the number of scans.
     pub presence: Vec<PresenceRun>,
-    /// The tiles that its scans saw, ascending.
+    /// The tiles that the scans of the day saw, ascending.
     tiles: Vec<(TileId, Box<DayTile>)>,
 }
 
-/// Share of a tile in [`GridDay::changes`] without its flips: its size in units of 12 bytes.
+/// Share of a tile in [`GridDay::changes`] without its flips: the tile's size in units of 12 bytes.
 const TILE_CHANGES: u64 = (size_of::<DayTile>() + size_of::<(TileId, Box<DayTile>)>()).div_ceil(12) as u64;
 
 impl GridDay {
@@ -122,7 +122,7 @@ impl GridDay {
         self.take(time, seen).0
     }
 
-    /// As [`GridDay::push`]; also returns the increase of [`GridDay::changes`].
+    /// Does the same as [`GridDay::push`]; also returns the increase of [`GridDay::changes`].
     pub(crate) fn take(&mut self, time: ScanTime, seen: &Arc<[TileId]>) -> (u32, u64) {
         let scan = u32::try_from(self.scans.len()).unwrap_or(u32::MAX);
         self.scans.push(time);
@@ -140,8 +140,8 @@ impl GridDay {
         }
     }
 
-    /// Sets what a scan showed of a tile that it saw. By default a tile shows what it showed before. Returns the
-    /// increase of [`GridDay::changes`].
+    /// Sets the masks that a scan showed of a tile that it saw. By default a tile keeps its masks of the scan before.
+    /// Returns the increase of [`GridDay::changes`].
     pub fn show(&mut self, scan: u32, tile: TileId, masks: TileMasks) -> u64 {
         let at = match self.place(tile) {
             Ok(at) => at,
@@ -164,9 +164,9 @@ impl GridDay {
         (known.flips.len() - before) as u64
     }
 
-    /// Where a tile is, or belongs.
+    /// The index of a tile, or the index at which it must be inserted.
     fn place(&self, tile: TileId) -> Result<usize, usize> {
-        // The first scan of a day gives its tiles in order.
+        // The tiles of the first scan of a day arrive in order.
         match self.tiles.last() {
             Some((last, _)) if *last < tile => Err(self.tiles.len()),
             _ => self.tiles.binary_search_by_key(&tile, |(tile, _)| *tile),
@@ -200,7 +200,7 @@ impl GridDay {
     pub fn presence_by_tile(&self) -> Vec<Vec<(u32, u32)>> {
         let mut ranges: Vec<Vec<(u32, u32)>> = vec![Vec::new(); self.tiles.len()];
         for run in &self.presence {
-            // Both ascend, and mostly name the same tiles.
+            // Both lists ascend, and mostly contain the same tiles.
             let mut at = 0;
             for tile in run.seen.iter() {
                 if self.tiles.get(at).is_some_and(|(known, _)| known < tile) {
@@ -251,7 +251,7 @@ impl GridDay {
             for (from, to) in ranges {
                 let of_range = runs.partition_point(|&(_, end, _)| end <= from);
                 for &(first, end, part) in runs.iter().skip(of_range).take_while(|&&(first, _, _)| first < to) {
-                    // Shown where the part's scans of the tile restart, and at each flip.
+                    // The masks are set where the part's scans of the tile restart, and at each flip.
                     let mut scan = first.max(from);
                     while scan < end.min(to) {
                         flips = apply_flips(&mut masks, flips, scan);
@@ -297,7 +297,7 @@ impl GridDay {
     }
 }
 
-/// Applies the flips of one scan, which come next; returns those after them.
+/// Applies the flips of one scan, which must come first in `flips`; returns the flips after them.
 fn apply_flips<'a>(masks: &mut TileMasks, flips: &'a [Flip], scan: u32) -> &'a [Flip] {
     let count = flips.iter().take_while(|flip| flip.scan == scan).count();
     let (of_scan, rest) = flips.split_at(count);

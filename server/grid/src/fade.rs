@@ -1,11 +1,11 @@
-//! Fading of what the cells of a grid have learned, by whole local days.
+//! Fades what the cells of a grid have learned, by whole local days.
 //!
-//! With a half-life H a reading of the day d counts 0.5^((D - d)/H), D being the latest day on which its group was
-//! learned. The sums of a group, and of its changed cells, are multiplied on the days on which the group is observed,
-//! so that a night costs nothing for cells that were not. A day that comes late counts less instead.
+//! With a half-life H a reading of the day d counts 0.5^((D - d)/H), where D is the latest day on which the reading's
+//! group was learned. The sums of a group, and of its changed cells, are multiplied on the days on which the group is
+//! observed, so that a night costs nothing for cells that were not observed. A day that comes late counts less instead.
 //!
-//! Invariant: as for named states, only the ratio of weights matters, and a model keeps what it knows of a cell that is
-//! never observed again.
+//! Invariant: as for named states, only the ratio of weights matters, and a model keeps what it has learned of a cell
+//! that is never observed again.
 
 use tidemap_model::LocalDay;
 
@@ -22,12 +22,12 @@ pub struct GroupFade {
 }
 
 impl GroupFade {
-    /// No readings, before those of a day.
+    /// A group without readings, before the readings of a day are added.
     pub(super) fn new(day: LocalDay) -> GroupFade {
         GroupFade { weight: 0.0, day, sum_day: day }
     }
 
-    /// So many readings of equal weight, up to a local civil time.
+    /// A group with this number of readings of equal weight, up to a local civil time.
     pub(super) fn of_equal(observations: u64, last_nanos: i64) -> GroupFade {
         GroupFade { weight: observations as f64, ..GroupFade::new(LocalDay::of_civil_nanos(last_nanos)) }
     }
@@ -39,7 +39,7 @@ pub(crate) struct HalfLife {
     days: f64,
 }
 
-/// What a day does to the weights of the readings that are known, and of its own; one of the two is 1.
+/// The factors that a day applies to the weights of the earlier readings, and to its own readings; one of the two is 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DayFactors {
     pub(super) known: f64,
@@ -47,10 +47,10 @@ pub(super) struct DayFactors {
 }
 
 impl DayFactors {
-    /// Without a half-life.
+    /// The factors without a half-life.
     pub(super) const EQUAL: DayFactors = DayFactors { known: 1.0, of_day: 1.0 };
 
-    /// As bits, which can be hashed.
+    /// The factors as bits, which can be hashed.
     pub(super) fn to_bits(self) -> [u64; 2] {
         [self.known.to_bits(), self.of_day.to_bits()]
     }
@@ -66,7 +66,7 @@ impl HalfLife {
         libm::exp2(-(i64::from(to.0) - i64::from(from.0)).max(0) as f64 / self.days)
     }
 
-    /// What a day does to the weights of a group that was last learned on another.
+    /// The factors that a day applies to the weights of a group that was last learned on another day.
     pub(super) fn factors(self, learned: LocalDay, day: LocalDay) -> DayFactors {
         DayFactors { known: self.factor(learned, day), of_day: self.factor(day, learned) }
     }

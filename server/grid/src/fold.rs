@@ -1,7 +1,7 @@
 //! Sums of phasors over the scans at which a bit is set, chunk by chunk of scans.
 //!
-//! Where some scans are of another sensor than the map's own, sums of phasors weighted by α and β stand beside the
-//! plain ones (see [`crate::sensors`]).
+//! Where some scans are of another sensor than the map's own, sums of phasors weighted by α and β are kept beside the
+//! plain sums (see [`crate::sensors`]).
 //!
 //! Invariant: running sums continue from chunk to chunk, so that a run of equal readings costs two rows of them,
 //! however many chunks it spans.
@@ -19,7 +19,7 @@ pub(super) const CHUNK_SCANS_MAX: usize = 256;
 pub(super) struct Chunk<'a> {
     /// Number of the first scan.
     pub(super) first: usize,
-    /// Running sums: row i is that of the scans before scan `first` + i.
+    /// Running sums: row i is the sum of the scans before scan `first` + i.
     pub(super) rows: &'a RunningSums,
     /// The running sums with the weights of readings; `None` where all scans are of the map's own sensor.
     pub(super) weighted: Option<&'a WeightedRows>,
@@ -83,10 +83,10 @@ pub(super) struct WeightedScans {
     pub(super) ids: Arc<Vec<SensorId>>,
     alpha: Vec<f64>,
     beta: Vec<f64>,
-    /// The values of a free and an occupied reading of each scan.
+    /// The values of a free reading of each scan; `occupied` has the values of an occupied reading.
     free: Vec<f64>,
     occupied: Vec<f64>,
-    /// Σα and Σβ over the scans before each, and over all.
+    /// Σα and Σβ over the scans before each scan, and over all scans.
     before: Vec<Weights>,
 }
 
@@ -145,9 +145,9 @@ impl WeightedScans {
 /// Running sums of weighted phasors.
 #[derive(Debug)]
 pub(super) struct WeightedRows {
-    /// Of phasors times α.
+    /// Running sums of phasors times α.
     pub(super) alpha: RunningSums,
-    /// Of phasors times β.
+    /// Running sums of phasors times β.
     pub(super) beta: RunningSums,
 }
 

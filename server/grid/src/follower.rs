@@ -1,8 +1,8 @@
-//! The readings of some cells, followed from scan to scan.
+//! Follows the readings of some cells from scan to scan.
 //!
-//! A scan is logged as the bits of its tiles that differ from the scan before. A follower begins with what the tiles of
-//! its cells show, and passes each scan once, in the order of the log. Invariant: its readings are those that the map
-//! learns, if no scan is left out since the view that it began with.
+//! A scan is logged as the bits of its tiles that differ from the scan before. A follower begins with the current masks
+//! of the tiles of its cells, and passes each scan once, in log order. Invariant: its readings are the readings that
+//! the map learns, if no scan is left out since the view that it began with.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -20,11 +20,11 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct CellFollower {
     tiles: BTreeMap<TileId, FollowedTile>,
-    /// Tiles that no scan has seen yet, and the cells of them.
+    /// Tiles that no scan has seen yet, with the followed cells of each.
     awaited: HashMap<TileIndex, Mask>,
     /// Number of tiles of the map.
     known_tiles: u32,
-    /// The tiles of the last scan.
+    /// The tiles that the last scan saw.
     seen: Arc<[TileId]>,
 }
 
@@ -32,7 +32,7 @@ pub struct CellFollower {
 struct FollowedTile {
     index: TileIndex,
     cells: Mask,
-    /// What the last scan of the tile in the order of the log showed.
+    /// The observed mask of the last scan of the tile in log order.
     observed: Mask,
     occupied: Mask,
 }
@@ -42,11 +42,11 @@ struct FollowedTile {
 pub struct CellReading {
     /// The tile that holds the cell.
     pub tile: TileId,
-    /// Where the tile is.
+    /// The index of the tile.
     pub index: TileIndex,
-    /// Its place in the tile.
+    /// The place of the cell in the tile.
     pub cell: u16,
-    /// Whether it was read as occupied.
+    /// Whether the cell was read as occupied.
     pub is_occupied: bool,
 }
 
@@ -73,7 +73,8 @@ impl CellFollower {
         follower
     }
 
-    /// Passes the scans of an event; `read` gets the number of each scan in it and the readings of the followed cells.
+    /// Passes the scans of an event; `read` receives the number of each scan in the event and the readings of the
+    /// followed cells.
     pub fn pass(&mut self, event: &Scans, mut read: impl FnMut(usize, CellReading)) {
         for &index in &event.new_tiles {
             if let Some(cells) = self.awaited.remove(&index) {

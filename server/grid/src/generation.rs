@@ -1,13 +1,13 @@
-//! What one update published of a grid: a model per tile.
+//! The result that one update published for a grid: a model per tile.
 //!
-//! Invariant: immutable once published; unchanged tiles are shared with the generation before.
+//! Invariant: a generation is immutable once published; it shares unchanged tiles with the generation before.
 
 use crate::{index::TileId, tile::ModelSlot};
 
 /// The models of all tiles.
 #[derive(Clone, Debug, Default)]
 pub struct Generation {
-    /// By the number of the tile; a tile that no update has seen may be missing.
+    /// Models by the number of the tile; a tile that no update has seen may be missing.
     pub models: Vec<ModelSlot>,
 }
 

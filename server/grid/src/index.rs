@@ -1,4 +1,4 @@
-//! Where cells and tiles are: integer indices in the map's frame.
+//! The positions of cells and tiles: integer indices in the map's frame.
 //!
 //! Invariant: a tile index lies within ±[`TILE_LIMIT`], so that cell indices and metres never overflow.
 
@@ -17,14 +17,14 @@ pub const TILE_LIMIT: i32 = 1 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TileId(pub u32);
 
-/// Where a tile is, in tiles from the grid's origin.
+/// The position of a tile, in tiles from the grid's origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TileIndex {
-    /// Along x.
+    /// Index along x.
     pub x: i32,
-    /// Along y.
+    /// Index along y.
     pub y: i32,
-    /// Along z; 0 in a grid of two dimensions.
+    /// Index along z; 0 in a grid of two dimensions.
     pub z: i32,
 }
 
@@ -52,20 +52,20 @@ impl TileIndex {
     }
 }
 
-/// Where a cell is, in cells from the grid's origin: it spans origin + index·resolution to origin +
+/// The position of a cell, in cells from the grid's origin: the cell spans origin + index·resolution to origin +
 /// (index+1)·resolution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CellIndex {
-    /// Along x.
+    /// Index along x.
     pub x: i32,
-    /// Along y.
+    /// Index along y.
     pub y: i32,
-    /// Along z; 0 in a grid of two dimensions.
+    /// Index along z; 0 in a grid of two dimensions.
     pub z: i32,
 }
 
 impl CellIndex {
-    /// The tile that holds the cell, and its place there: x + 8·y + 64·z of the last three bits of each index.
+    /// The tile that holds the cell, and the cell's place in it: x + 8·y + 64·z of the last three bits of each index.
     #[inline]
     pub fn tile(self) -> (TileIndex, u16) {
         let tile = TileIndex { x: self.x >> 3, y: self.y >> 3, z: self.z >> 3 };
@@ -91,12 +91,12 @@ impl From<CellIndex> for [i32; 3] {
 pub struct CellBox {
     /// Lowest cell.
     pub min: CellIndex,
-    /// Beyond the highest cell.
+    /// One beyond the highest cell along each axis.
     pub max: CellIndex,
 }
 
 impl CellBox {
-    /// Number of cells along x, y, z; 0 if there is none.
+    /// Number of cells along x, y, z; 0 if the box is empty.
     pub fn size(&self) -> [u64; 3] {
         let along = |min: i32, max: i32| u64::try_from(i64::from(max) - i64::from(min)).unwrap_or(0);
         [along(self.min.x, self.max.x), along(self.min.y, self.max.y), along(self.min.z, self.max.z)]
@@ -107,14 +107,14 @@ impl CellBox {
         self.size().iter().map(|&size| u128::from(size)).product()
     }
 
-    /// Whether the cell lies within.
+    /// Whether the box contains the cell.
     pub fn contains(&self, cell: CellIndex) -> bool {
         (self.min.x..self.max.x).contains(&cell.x)
             && (self.min.y..self.max.y).contains(&cell.y)
             && (self.min.z..self.max.z).contains(&cell.z)
     }
 
-    /// The cells that lie in both.
+    /// The cells that lie in both boxes.
     pub fn intersection(&self, other: &CellBox) -> CellBox {
         CellBox {
             min: CellIndex {
@@ -130,7 +130,7 @@ impl CellBox {
         }
     }
 
-    /// The smallest box that holds both; an empty one adds nothing.
+    /// The smallest box that holds both boxes; an empty box adds nothing.
     pub fn union(&self, other: &CellBox) -> CellBox {
         if self.is_empty() {
             return *other;
@@ -152,7 +152,7 @@ impl CellBox {
         }
     }
 
-    /// Whether there is no cell within.
+    /// Whether the box contains no cell.
     pub fn is_empty(&self) -> bool {
         self.size().contains(&0)
     }

@@ -1,7 +1,7 @@
 //! The grid of a map as its single writer holds it. Logged scans are applied here.
 //!
-//! Invariant: the state is a function of the scans applied and their order. The cost of a scan follows what it changes,
-//! and the tiles where the observed cells change.
+//! Invariant: the state is a function of the scans applied and their order. The cost of a scan depends on the cells
+//! that it changes, and on the tiles where the observed cells change.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -29,7 +29,7 @@ pub use scans::InvalidScans;
 #[cfg(test)]
 mod tests;
 
-/// Tiles are copied on publication in pieces of this many.
+/// Number of tiles in one piece. Tiles are copied on publication piece by piece.
 pub(crate) const TILE_CHUNK: usize = 64;
 
 /// A chunk of tiles, shared with readers.
@@ -40,11 +40,11 @@ pub(crate) type TileChunk = Arc<Vec<Arc<LiveTile>>>;
 struct Previous {
     day: LocalDay,
     seen: Arc<[TileId]>,
-    /// Cells that it observed.
+    /// Number of cells that the scan observed.
     observed: u64,
 }
 
-/// The grid at an update's log position, except what the update learns.
+/// The grid at an update's log position, except the data that the update learns.
 #[derive(Debug)]
 pub struct GridBasis {
     tiles: Vec<Arc<LiveTile>>,
@@ -54,8 +54,8 @@ pub struct GridBasis {
     scans: u64,
     cell_observations: u64,
     shown: CellBox,
-    /// When the first of the scans that stay pending was received, or earlier; nanoseconds UTC. `None` until the map
-    /// sets it.
+    /// The time at which the first of the scans that stay pending was received, or an earlier time; nanoseconds UTC.
+    /// `None` until the map sets it.
     pub received_nanos: Option<i64>,
 }
 
@@ -71,12 +71,12 @@ pub struct LiveGrid {
     previous: Option<Previous>,
     pub(crate) run: ScanRun,
     run_seen: Option<Arc<[TileId]>>,
-    /// The sensor that made all its scans.
+    /// The sensor that made all scans of the run.
     run_sensor: SensorId,
     /// Scans that no update has learned, by local day.
     pub(crate) days: Vec<GridDay>,
     pub(crate) future: Vec<FutureScan>,
-    /// Sum of their tiles.
+    /// Sum of the numbers of tiles of the scans in `future`.
     future_tiles: u64,
     pub(crate) pending_changes: u64,
     pub(crate) oldest_pending_nanos: Option<i64>,
@@ -87,7 +87,7 @@ pub struct LiveGrid {
     dirty: Vec<bool>,
     pub(crate) scans: u64,
     pub(crate) cell_observations: u64,
-    /// The smallest box of all that scans said to show.
+    /// The smallest box of all cells that scans were stated to show.
     pub(crate) shown: CellBox,
 }
 
@@ -119,7 +119,7 @@ impl LiveGrid {
         }
     }
 
-    /// Restores a snapshot into an empty grid that knows the sensors of its producers.
+    /// Restores a snapshot into an empty grid that has the sensors of the grid's producers.
     pub fn restore(self, snapshot: GridSnapshot) -> LiveGrid {
         let mut grid = self;
         for tile in snapshot.tiles {
@@ -137,8 +137,8 @@ impl LiveGrid {
         grid
     }
 
-    /// Takes the scans before an instant for an update. Also returns the grid without what the update will learn, and
-    /// the latest time of the scans that had waited for theirs.
+    /// Takes the scans before an instant for an update. Also returns the grid without the data that the update will
+    /// learn, and the latest time of the scans that had waited until their time came.
     pub fn start_update(
         &mut self,
         cut_nanos: i64,
@@ -169,7 +169,7 @@ impl LiveGrid {
         (work, basis, newest_future)
     }
 
-    /// Publishes what an update learned.
+    /// Publishes the result of an update.
     pub fn finish_update(&mut self, basis: GridBasis, generation: Generation, sums: Vec<SumsSlot>) -> GridSnapshot {
         self.generation = Arc::new(generation);
         self.sums = sums;
@@ -192,7 +192,7 @@ impl LiveGrid {
     /// map's own. `others`: sensors that other producers will have, and that may be new too.
     ///
     /// # Errors
-    /// [`InvalidSensor`] where it may not.
+    /// [`InvalidSensor`] where the producer may not have it.
     pub fn may_have(
         &self,
         announced: ProducerSensor,
@@ -202,7 +202,7 @@ impl LiveGrid {
         if self.sensors.find(sensor).is_none() {
             let mut sensors = Sensors::clone(&self.sensors);
             for other in others {
-                // Without room for it, there is none for this one.
+                // If there is no room for this other sensor, there is none for the announced sensor either.
                 let _ = sensors.add(Some(other));
             }
             sensors.add(sensor)?;
@@ -210,7 +210,7 @@ impl LiveGrid {
         Ok(sensor)
     }
 
-    /// The sensors of its producers.
+    /// The sensors of the grid's producers.
     pub fn sensors(&self) -> &Sensors {
         &self.sensors
     }
@@ -218,7 +218,7 @@ impl LiveGrid {
     /// Numbers the sensor of a new producer, which [`LiveGrid::may_have`] has accepted.
     pub fn add_sensor(&mut self, sensor: Option<ProducerSensor>) {
         if self.sensors.find(sensor).is_none() {
-            // An invalid one counts as the map's own; no log has one.
+            // An invalid sensor counts as the map's own; no log contains one.
             let _ = Arc::make_mut(&mut self.sensors).add(sensor);
         }
     }
@@ -252,7 +252,7 @@ impl LiveGrid {
         self.ids.get(&index).copied()
     }
 
-    /// What the last scan of a tile, in the order of the log, showed.
+    /// The masks of the last scan of a tile in log order.
     pub fn arrival(&self, tile: TileId) -> Option<TileMasks> {
         Some(self.tiles.get(tile.0 as usize)?.arrival)
     }
@@ -267,7 +267,7 @@ impl LiveGrid {
         self.future.len() as u64
     }
 
-    /// Sum of the tiles of the scans that wait.
+    /// Sum of the numbers of tiles of the scans that wait.
     pub fn future_tiles(&self) -> u64 {
         self.future_tiles
     }
@@ -277,7 +277,7 @@ impl LiveGrid {
         self.future.iter().map(|scan| scan.time.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 
-    /// Scans that no update has learned, without those that wait because of their time.
+    /// Number of scans that no update has learned, without the scans that wait because of their time.
     pub fn pending_scans(&self) -> u64 {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
@@ -287,12 +287,12 @@ impl LiveGrid {
         &self.days
     }
 
-    /// Changes of cells in these scans.
+    /// Changes of cells in the scans that no update has learned.
     pub fn pending_changes(&self) -> u64 {
         self.pending_changes
     }
 
-    /// Earliest time of these scans, nanoseconds UTC.
+    /// Earliest time of the scans that no update has learned, nanoseconds UTC.
     pub fn oldest_pending_nanos(&self) -> Option<i64> {
         self.oldest_pending_nanos
     }
@@ -302,7 +302,7 @@ impl LiveGrid {
         &self.future
     }
 
-    /// The tiles for readers from now on.
+    /// Publishes the tiles: readers see these from now on.
     pub(crate) fn publish(&mut self) -> Vec<TileChunk> {
         for (index, dirty) in self.dirty.iter_mut().enumerate() {
             if !std::mem::take(dirty) {

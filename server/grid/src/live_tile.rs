@@ -1,14 +1,14 @@
-//! A tile as the newest scans show it: the last value of each cell, and how long cells keep theirs.
+//! A tile according to its newest scans: the last value of each cell, and how long cells keep their values.
 //!
 //! Persistence (T-RO 2017, eq. 12) needs pairs of successive observations, changes per time between them, and the
-//! newest observation. These are kept per tile for the cells of the newest scan, and per cell only for the others and
-//! for those that have changed.
+//! newest observation. These are kept per tile for the cells of the newest scan, and per cell only for the other cells
+//! and for cells that have changed.
 //!
 //! Where sensors with different levels observe the same cells, a cell can change its value although its reading is the
 //! same. Rates of change are in units of the map's own sensor (see [`crate::sensors`]).
 //!
-//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts
-//! exactly if it is newer than all earlier ones of that cell.
+//! Invariant: `known` is `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts
+//! exactly if it is newer than all earlier observations of that cell.
 
 use tidemap_model::{Persistence, PersistenceParts};
 
@@ -22,24 +22,24 @@ use crate::{
 /// A cell that the newest scan did not observe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Away {
-    /// Its place in the tile.
+    /// The place of the cell in the tile.
     pub cell: u16,
-    /// The sensor that last observed it.
+    /// The sensor that last observed the cell.
     pub sensor: SensorId,
-    /// When it was last observed, nanoseconds UTC.
+    /// The time of the last observation of the cell, nanoseconds UTC.
     pub last_nanos: i64,
     /// Pairs of successive observations so far.
     pub pairs: u64,
 }
 
-/// A tile as the newest scans show it.
+/// A tile according to its newest scans.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiveTile {
-    /// Where it is.
+    /// The index of the tile.
     pub index: TileIndex,
     /// The sensor of the newest scan.
     pub sensor: SensorId,
-    /// What the last scan in the order of the log showed.
+    /// The masks of the last scan of the tile in log order.
     pub arrival: TileMasks,
     /// Cells that were ever observed.
     pub known: Mask,
@@ -49,21 +49,22 @@ pub struct LiveTile {
     pub current: Mask,
     /// Time of the newest scan, nanoseconds UTC.
     pub newest_nanos: i64,
-    /// Number of scans that were each newer than all before.
+    /// Number of scans that were each newer than all scans before.
     pub scans: u64,
     /// Known cells that the newest scan did not observe.
     pub away: Vec<Away>,
-    /// Current cells whose pairs of successive observations are not `scans` - 1 but `scans` - this.
+    /// Current cells whose number of pairs of successive observations is not `scans` - 1, with their offset: the number
+    /// of pairs is `scans` - offset.
     pub offsets: Vec<(u16, i64)>,
-    /// Sum over changes of value of their size, in units of the map's own sensor, / seconds between the two readings;
-    /// of cells that have changed.
+    /// For each cell that has changed: the sum, over its changes of value, of the size of the change in units of the
+    /// map's own sensor, divided by the seconds between the two readings.
     pub change_rates: Vec<(u16, f64)>,
     /// If the tile is part of the map's run: the count of the run up to which `scans` and `newest_nanos` are current.
     pub(crate) joined: Option<u64>,
 }
 
-/// Consecutive scans, each newer than the one before, that saw the same tiles with the same sensor. Unchanged tiles are
-/// not touched for them.
+/// Consecutive scans, each newer than the scan before, that saw the same tiles with the same sensor. They do not touch
+/// unchanged tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ScanRun {
     pub(crate) count: u64,
@@ -98,7 +99,7 @@ impl LiveTile {
         }
     }
 
-    /// Newest time and number of scans, with the run's scans.
+    /// The newest time and the number of scans, with the scans of the run.
     pub(crate) fn settled(&self, run: ScanRun) -> (i64, u64) {
         match self.joined {
             Some(joined) if joined < run.count => (run.newest_nanos, self.scans + (run.count - joined)),
@@ -111,7 +112,7 @@ impl LiveTile {
         self.scans == 0 || utc_nanos > self.newest_nanos
     }
 
-    /// Applies a scan that is newer than all before; the tile is settled.
+    /// Applies a scan that is newer than all scans before; the tile is settled.
     pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let (observed, occupied) = (masks.observed(), masks.occupied());
         // With another sensor, the value of every cell may change.
@@ -144,13 +145,13 @@ impl LiveTile {
         self.sensor = time.sensor;
     }
 
-    /// By how much the value of a known cell changes with a reading, in units of the map's own sensor.
+    /// The change in the value of a known cell by a reading, in units of the map's own sensor.
     fn change(&self, cell: u16, from: SensorId, to: SensorId, is_occupied: bool, sensors: &Sensors) -> f64 {
         let before = sensors.weights(from).units(self.occupied.contains(cell));
         (sensors.weights(to).units(is_occupied) - before).abs()
     }
 
-    /// Applies a scan that is not newer than all before: it counts for cells whose own observations are older.
+    /// Applies a scan that is not newer than all scans before: it counts for cells whose own observations are older.
     pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
         let ScanTime { utc_nanos, sensor, .. } = time;
         let mut rates = Vec::new();
@@ -196,7 +197,7 @@ impl LiveTile {
         }
     }
 
-    /// Makes current cells away ones. Lists are sorted once for all cells: a moving robot changes most of a tile.
+    /// Turns current cells into away cells. Lists are sorted once for all cells: a moving robot changes most of a tile.
     fn leave(&mut self, cells: Mask) {
         if cells.is_empty() {
             return;
@@ -213,7 +214,7 @@ impl LiveTile {
         self.offsets.retain(|(cell, _)| !cells.contains(*cell));
     }
 
-    /// Makes cells current; `returned`: those of them that were away.
+    /// Makes cells current; `returned`: the cells among them that were away.
     fn enter(&mut self, cells: Mask, returned: &[Away]) {
         let scans = i64::try_from(self.scans + 1).unwrap_or(i64::MAX);
         let known = self.offsets.len();
@@ -259,7 +260,8 @@ impl LiveTile {
         sensors.value(self.reader(cell, sensors), self.occupied.contains(cell))
     }
 
-    /// Persistence of a cell, with the run's scans. Before the first observation it is that of an unknown state.
+    /// Persistence of a cell, with the scans of the run. Before the first observation it is the persistence of an
+    /// unknown state.
     pub(crate) fn persistence(&self, cell: u16, run: ScanRun, sensors: &Sensors) -> Persistence {
         if !self.known.contains(cell) {
             return Persistence::default();
@@ -286,7 +288,7 @@ impl LiveTile {
     }
 }
 
-/// What a change of this size adds to the change rates of a cell; `None` if there is none.
+/// The amount that a change of this size adds to the change rates of a cell; `None` if it adds nothing.
 fn change_rate(size: f64, from_nanos: i64, to_nanos: i64) -> Option<f64> {
     (size != 0.0).then(|| size * 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64)
 }

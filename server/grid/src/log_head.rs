@@ -1,21 +1,21 @@
-//! The head of the log: scans of streams become differences against the last scan of each tile in the order of the log.
+//! The head of the log: scans of streams become differences against the last scan of each tile in log order.
 //!
-//! One tile has several pictures, each with its own lifetime:
+//! There are several records of one tile, each with its own lifetime:
 //!
 //! ```text
-//! client    what it last sent of the tile          for the next differences on the wire
+//! client    tile as the client last sent it        base of the next differences on the wire
 //!   │ wire
-//! intake    what the stream has sent               to decode it, in the task of the stream
+//! intake    tile as the stream has sent it         decodes the stream, in the stream's task
 //!   │ queue
-//! [`StreamTiles`]  what the stream last showed     the same at the writer, one per stream
+//! [`StreamTiles`]  tile as the stream last sent it  copy at the writer, one per stream
 //!   │ [`LogHead::take`]
-//! [`LogHead`]      the last scan handed to the log the base of the next difference; rebuilt after a failure
+//! [`LogHead`]      last scan handed to the log     base of the next difference; rebuilt after a failure
 //!   │ log (append, fdatasync)
-//! `LiveTile::arrival`  the last durable scan        the base that a restart begins with
+//! `LiveTile::arrival`  last durable scan           base after a restart
 //!   │ apply
 //! `LiveTile` and `GridDay`  newest values, pending scans of the day
 //!   │ update
-//! `TileModel`      what an update has learned
+//! `TileModel`      learned data of the updates
 //! ```
 //!
 //! Invariant: a `LogHead` shows the map as it will be when everything handed to the log so far is applied; after a
@@ -34,7 +34,7 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
-/// A cell of a stream: slot·512 + place, where the slot is the tile's index in the stream's table.
+/// A cell of a stream, as the number slot·512 + place, where the slot is the tile's index in the stream's table.
 pub type SlotCell = u32;
 
 /// One scan, as its stream sends it.
@@ -50,18 +50,18 @@ pub struct StreamScan {
     pub occupied_flips: Vec<SlotCell>,
 }
 
-/// The tiles of one stream, and what it last showed of each.
+/// The tiles of one stream, with the masks that the stream last sent of each.
 #[derive(Debug, Default)]
 pub struct StreamTiles {
     slots: Vec<StreamTile>,
     seen: Option<SeenSlots>,
-    /// Whether two of these slots are the same tile.
+    /// Whether two of the slots in `seen` are the same tile.
     has_twins: bool,
-    /// Whether a scan since then was refused.
+    /// Whether a scan after the scan in `seen` was refused.
     has_skipped: bool,
 }
 
-/// The slots of the scan before, and the same as tiles of the map.
+/// The slots of the scan before, and the tiles of the map that these slots are.
 #[derive(Debug)]
 struct SeenSlots {
     slots: Arc<[u32]>,
@@ -82,7 +82,7 @@ impl StreamTiles {
         self.slots.push(StreamTile { index, tile: None, masks: TileMasks::default() });
     }
 
-    /// Forgets which tiles of the map the slots are, because the map may not know them.
+    /// Drops the assignment of slots to tiles of the map, because the map may not have these tiles.
     pub fn forget_tiles(&mut self) {
         for slot in &mut self.slots {
             slot.tile = None;
@@ -94,7 +94,7 @@ impl StreamTiles {
         self.seen.as_ref().is_some_and(|seen| Arc::ptr_eq(&seen.slots, &scan.seen))
     }
 
-    /// Applies a refused scan: later scans refer to it anyway.
+    /// Applies a refused scan: later scans are differences from it all the same.
     pub fn skip(&mut self, scan: &StreamScan) {
         self.flip(&scan.observed_flips, |slot, cells| {
             let observed = slot.masks.observed().flipped(places(cells));
@@ -124,7 +124,7 @@ fn cancel_pairs(cells: &mut Vec<CellRef>) {
     *cells = odd.filter_map(|same| same.first().copied()).collect();
 }
 
-/// The cells after those of a slot.
+/// The cells after the cells of a slot.
 fn behind(cells: &[SlotCell], slot: usize) -> &[SlotCell] {
     let of_slot = cells.iter().take_while(|cell| slot_of(**cell) <= slot).count();
     cells.get(of_slot..).unwrap_or_default()
@@ -134,7 +134,7 @@ fn places(cells: &[SlotCell]) -> impl Iterator<Item = u16> {
     cells.iter().map(|cell| CellRef(*cell).cell())
 }
 
-/// Whether a slot is among ascending slots; found at once if none is left out.
+/// Whether a slot is among ascending slots. Found in one step if no slot is left out.
 fn is_among(seen: &[u32], slot: u32) -> bool {
     let place = seen.first().map_or(0, |first| slot.wrapping_sub(*first) as usize);
     seen.get(place) == Some(&slot) || seen.binary_search(&slot).is_ok()
@@ -144,7 +144,7 @@ fn slot_of(cell: SlotCell) -> usize {
     CellRef(cell).tile().0 as usize
 }
 
-/// The tiles of a map, as they will be when everything handed to the log is applied.
+/// The tiles of a map after everything handed to the log is applied.
 #[derive(Debug)]
 pub struct LogHead {
     new_ids: HashMap<TileIndex, TileId>,
@@ -154,7 +154,7 @@ pub struct LogHead {
     last_owner: u64,
 }
 
-/// A scan for the log, and the tiles that are new with it.
+/// A scan for the log, and the tiles that first appear in it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScanDelta {
     /// The scan.
@@ -185,11 +185,11 @@ impl LogHead {
         self.tiles
     }
 
-    /// Turns a scan of a stream into one for the log. `stream` is the stream's number, not 0.
+    /// Turns a scan of a stream into a scan for the log. `stream` is the stream's number, not 0.
     ///
     /// # Errors
-    /// [`TooManyTiles`] where the map would have more than `max_tiles`; the front is as before, the stream's view has
-    /// the scan taken in.
+    /// [`TooManyTiles`] where the map would have more than `max_tiles`; then the log head is unchanged, and the
+    /// stream's tiles have applied the scan.
     pub fn take(
         &mut self,
         grid: &LiveGrid,
@@ -216,7 +216,7 @@ impl LogHead {
         let seen = Arc::clone(&seen.tiles);
         let mut flips = FlipLists::default();
         if goes_on {
-            // All its tiles are as this stream showed them last.
+            // All tiles of the scan have the masks that this stream showed last.
             let (mut observed, mut occupied) = (&scan.observed_flips[..], &scan.occupied_flips[..]);
             while let Some(slot) = observed.first().into_iter().chain(occupied.first()).map(|cell| slot_of(*cell)).min()
             {
@@ -253,13 +253,13 @@ impl LogHead {
         Ok(ScanDelta { scan, new_tiles })
     }
 
-    /// Whether a scan continues the last one in the log, of the same stream and the same tiles: then all its tiles are
-    /// as this stream showed them last.
+    /// Whether a scan continues the last scan in the log, with the same stream and the same tiles: then all its tiles
+    /// have the masks that this stream showed last.
     fn goes_on(&self, stream: u64, source: &StreamTiles, scan: &StreamScan) -> bool {
         source.is_like_before(scan) && !source.has_skipped && self.last_owner == stream
     }
 
-    /// Maximum number of flips of a stream's scan in the log, without those of tiles that are observed again as a
+    /// Maximum number of flips of a stream's scan in the log, without the flips of tiles that are observed again as a
     /// whole; changes nothing.
     pub fn flips_at_most(&self, grid: &LiveGrid, stream: u64, source: &StreamTiles, scan: &StreamScan) -> u64 {
         if self.goes_on(stream, source, scan) {
@@ -280,7 +280,7 @@ impl LogHead {
         flips
     }
 
-    /// Finds the map's tiles of the slots and adds new ones. A tile beyond the limits gets no id and is not shown.
+    /// Finds the map's tiles for the slots and adds new tiles. A tile beyond the limits gets no id and is not shown.
     fn resolve(
         &mut self,
         grid: &LiveGrid,
@@ -288,7 +288,7 @@ impl LogHead {
         seen: &[u32],
         max_tiles: usize,
     ) -> Result<Vec<TileIndex>, TooManyTiles> {
-        // Durable tiles are in the map itself.
+        // The map itself contains the durable tiles.
         if !self.new_ids.is_empty() {
             self.new_ids.retain(|_, id| id.0 as usize >= grid.tiles());
         }
@@ -343,7 +343,7 @@ struct FlipLists {
     occupied: Vec<CellRef>,
 }
 
-/// Takes the cells of a slot, and those before it, off ascending cells.
+/// Removes the cells of a slot, and the cells before them, from ascending cells.
 fn take_slot<'a>(cells: &mut &'a [SlotCell], slot: u32) -> impl Iterator<Item = u16> + 'a {
     let first = cells.partition_point(|cell| CellRef(*cell).tile().0 < slot);
     let rest = &cells[first..];

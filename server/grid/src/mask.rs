@@ -19,7 +19,7 @@ impl Mask {
     /// Every cell.
     pub const FULL: Mask = Mask([u64::MAX; 8]);
 
-    /// The set of one cell; a place beyond the tile is ignored.
+    /// The set of one cell; a cell number beyond the tile is ignored.
     #[inline]
     pub fn of(cell: u16) -> Mask {
         let mut mask = Mask::EMPTY;
@@ -27,13 +27,13 @@ impl Mask {
         mask
     }
 
-    /// Whether the cell is in the set; a place beyond the tile is not.
+    /// Whether the cell is in the set; false for a cell number beyond the tile.
     #[inline]
     pub fn contains(&self, cell: u16) -> bool {
         self.0.get(usize::from(cell >> 6)).is_some_and(|word| word >> (cell & 63) & 1 == 1)
     }
 
-    /// Adds a cell; a place beyond the tile is ignored.
+    /// Adds a cell; a cell number beyond the tile is ignored.
     #[inline]
     pub fn insert(&mut self, cell: u16) {
         if let Some(word) = self.0.get_mut(usize::from(cell >> 6)) {
@@ -41,7 +41,7 @@ impl Mask {
         }
     }
 
-    /// Adds a cell that is not in the set and removes one that is; a place beyond the tile is ignored.
+    /// Adds a cell that is not in the set and removes a cell that is; a cell number beyond the tile is ignored.
     #[inline]
     pub fn flip(&mut self, cell: u16) {
         if let Some(word) = self.0.get_mut(usize::from(cell >> 6)) {
@@ -55,7 +55,7 @@ impl Mask {
         self.0.iter().map(|word| word.count_ones()).sum()
     }
 
-    /// Whether there is no cell.
+    /// Whether the set is empty.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.0.iter().fold(0, |all, word| all | word) == 0
@@ -97,7 +97,7 @@ impl Mask {
         })
     }
 
-    /// The set of 64 bytes, the first cell in the lowest bit of the first.
+    /// The set from 64 bytes, with the first cell in the lowest bit of the first byte.
     pub fn from_bytes(bytes: &[u8; TILE_CELLS / 8]) -> Mask {
         let mut mask = Mask::EMPTY;
         for (word, eight) in mask.0.iter_mut().zip(bytes.as_chunks::<8>().0) {
@@ -150,7 +150,7 @@ impl Not for Mask {
     }
 }
 
-/// What a scan shows of one tile. An occupied cell is observed.
+/// The masks of one tile in a scan. An occupied cell is observed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct TileMasks {
     observed: Mask,
@@ -164,7 +164,7 @@ impl TileMasks {
         occupied.without(observed).is_empty().then_some(TileMasks { observed, occupied })
     }
 
-    /// The masks; cells that are not observed are removed from the occupied.
+    /// The masks; cells that are not observed are removed from the occupied cells.
     #[inline]
     pub fn clipped(observed: Mask, occupied: Mask) -> TileMasks {
         TileMasks { observed, occupied: occupied & observed }

@@ -1,13 +1,13 @@
-//! When the cells of a tile were observed, kept as runs of scans instead of sums.
+//! Keeps the times at which the cells of a tile were observed, as runs of scans instead of sums.
 //!
 //! A robot that sees nearly every cell at different times makes nearly every cell an observation group of its own. A
-//! sum for each would be most of what a map keeps, although only cells that change need it. So above a number of groups
-//! the observations are kept run-length coded, and the sum of a cell is computed at its first change. When the runs
-//! take more than the sums would, the sums are computed and the runs dropped: a tile never takes more than twice what
-//! the smaller of the two would take.
+//! sum for each group would be most of a map's data, although only cells that change need a sum. So above a number of
+//! groups the observations are kept run-length coded, and the sum of a cell is computed at its first change. When the
+//! runs take more memory than the sums would, the sums are computed and the runs dropped: a tile never takes more than
+//! twice the memory of the smaller of the two forms.
 //!
 //! Invariant: a cell is in at most one list of a day; toggles ascend and are below the number of the day's scans,
-//! except that of a run that the last scan does not end.
+//! except the last toggle of a run that the last scan does not end.
 
 use std::sync::Arc;
 
@@ -31,26 +31,27 @@ pub struct CellRuns {
     pub toggles: Box<[u32]>,
 }
 
-/// When cells of a tile were observed on one day.
+/// The times at which cells of a tile were observed on one day.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DayRuns {
     /// Local civil times of the scans that saw the tile, in nanoseconds since 1970 local. Tiles seen by the same scans
     /// share them.
     pub civil_nanos: Arc<[i64]>,
-    /// The sensors of these scans, in their order; `None` where all are the map's own. Shared likewise.
+    /// The sensors of these scans, in their order; `None` where all are the map's own. Tiles seen by the same scans
+    /// share them too.
     pub sensors: Option<Arc<Vec<SensorId>>>,
-    /// Cells observed alike.
+    /// Cells that were observed at the same times.
     pub lists: Vec<CellRuns>,
 }
 
 impl DayRuns {
-    /// The local date of its scans.
+    /// The local date of the scans.
     fn day(&self) -> Option<LocalDay> {
         self.civil_nanos.first().map(|&nanos| LocalDay::of_civil_nanos(nanos))
     }
 }
 
-/// When the cells of a tile were observed since its groups became too many to keep a sum each.
+/// The times at which the cells of a tile were observed since the tile had too many groups to keep a sum for each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ObservationRuns {
     days: Vec<DayRuns>,
@@ -93,12 +94,13 @@ impl ObservationRuns {
         &self.days
     }
 
-    /// Whether nothing is kept: the sums of all groups are whole.
+    /// Whether no run is kept: the sums of all groups are whole.
     pub fn is_empty(&self) -> bool {
         self.days.is_empty()
     }
 
-    /// Adds a day: the times and sensors of the scans that saw the tile, and when which cells were observed.
+    /// Adds a day: the times and sensors of the scans that saw the tile, and the toggles of the observed bit of its
+    /// cells.
     pub(super) fn push<'a>(
         &mut self,
         civil_nanos: &Arc<[i64]>,
@@ -117,8 +119,8 @@ impl ObservationRuns {
         }
     }
 
-    /// The sums over the times at which each of these cells was observed, in their order. With a half-life, each day
-    /// counts with its weight on the day that is given with the cell.
+    /// The sums over the times at which each of these cells was observed, in the order of the cells. With a half-life,
+    /// each day counts with its weight on the day that is given with the cell.
     pub(super) fn sums(
         &self,
         cells: &[(u16, Option<LocalDay>)],
@@ -194,11 +196,11 @@ impl ObservationRuns {
 /// The sums of one cell, while they are computed.
 struct CellSums {
     plain: PhasorSum,
-    /// Of α and of β.
+    /// The sums weighted by α and by β.
     weighted: Option<(PhasorSum, PhasorSum)>,
 }
 
-/// A cell whose sums are asked for, on one day.
+/// A cell whose sums are requested, on one day.
 struct WantedCell<'a> {
     toggles: &'a [u32],
     cursor: Cursor,

@@ -1,8 +1,9 @@
-//! What an update of a grid did, in numbers: observations learned, errors of each order, and the orders of the cells.
+//! The result of an update of a grid in numbers: observations learned, errors of each order, and the orders of the
+//! cells.
 
 use tidemap_model::ORDER_MAX;
 
-/// What an update did to the cells of a grid.
+/// The result of an update for the cells of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridOutcome {
     /// Tiles that had scans.
@@ -11,29 +12,29 @@ pub struct GridOutcome {
     pub scans: u64,
     /// Cells with a spectrum, in all tiles that had scans.
     pub changed_cells: u64,
-    /// The sum over these tiles.
+    /// The sum of the outcomes of these tiles.
     pub cells: TileOutcome,
-    /// Number of cells of these tiles that had each order before; cells without a spectrum are not counted.
+    /// Number of cells of these tiles that had each order before the update; cells without a spectrum are not counted.
     pub cells_by_order_before: CellsByOrder,
-    /// Number of cells that have each order now.
+    /// Number of cells that have each order after the update.
     pub cells_by_order: CellsByOrder,
 }
 
 /// Number of cells per order 0..=15.
 pub type CellsByOrder = [u64; ORDER_MAX + 1];
 
-/// What an update did to the cells of one tile.
+/// The result of an update for the cells of one tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TileOutcome {
     /// Observations of single cells learned.
     pub observations: u64,
     /// Observations of cells with a spectrum that were predicted first and scored.
     pub scored: u64,
-    /// Sum of squared errors over them, per order 0..=15.
+    /// Sum of squared errors of the scored observations, per order 0..=15.
     pub squared_errors: [f64; ORDER_MAX + 1],
-    /// Sum of squared errors, each predicted with the order in force for its cell on its day.
+    /// Sum of squared errors, each of a prediction with the order in force for the cell on the day.
     pub squared_error_in_force: f64,
-    /// Sum of squared errors, each predicted with the order that was chosen for its cell on that day.
+    /// Sum of squared errors, each of a prediction with the order that was chosen for the cell on that day.
     pub squared_error_chosen: f64,
 }
 

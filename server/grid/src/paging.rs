@@ -1,7 +1,7 @@
-//! Paging: tiles that the store has saved leave memory, and are read back on demand.
+//! Paging: tiles that the store has saved are removed from memory, and are read back on demand.
 //!
-//! Invariant: a tile leaves memory only if its model and sums are the very ones that were saved; what an update has
-//! changed since then stays. No tile leaves while an update has the sums.
+//! Invariant: a tile is removed from memory only if its model and sums are the ones that were saved; data that an
+//! update has changed since then stays. No tile is removed while an update has the sums.
 
 use std::{
     collections::HashSet,
@@ -18,7 +18,7 @@ use crate::{
     tile::{ColdTile, ModelSlot, SumsSlot, TileModel, TileSource, TileSums},
 };
 
-/// The models and sums of a save, without holding them in memory.
+/// Identifies the models and sums of a save without holding them in memory.
 #[derive(Clone, Debug, Default)]
 pub struct SavedTiles {
     tiles: Vec<Option<(Weak<TileModel>, Weak<TileSums>)>>,
@@ -44,7 +44,7 @@ impl SavedTiles {
     }
 }
 
-/// What the tiles of a grid take in memory.
+/// The memory of the tiles of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TileMemory {
     /// Models and sums of tiles in memory, in bytes, about; a shared sum counts once.
@@ -54,7 +54,7 @@ pub struct TileMemory {
 }
 
 impl LiveGrid {
-    /// Memory of models and sums, without those that a running update has.
+    /// Memory of models and sums, without the models and sums that a running update has.
     pub fn memory(&self) -> TileMemory {
         let mut shared = HashSet::new();
         let mut memory = TileMemory::default();
@@ -68,9 +68,9 @@ impl LiveGrid {
         memory
     }
 
-    /// Reads tiles outside of memory from this save, the newest, from now on; then moves saved tiles out of memory
-    /// until the rest take `budget_bytes` or less, those first that were not observed for longest. Returns how many.
-    /// Views published from now on are without them. No update may have the sums.
+    /// From now on, reads tiles outside of memory from this save, which is the newest. Then moves saved tiles out of
+    /// memory until the rest take `budget_bytes` or less; tiles that were not observed for longest go first. Returns
+    /// the number of tiles moved. Views published from now on do not hold them. No update may have the sums.
     pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
         self.follow(source);
         let mut bytes = self.memory().bytes;
@@ -87,7 +87,7 @@ impl LiveGrid {
         }
         may_go.sort_unstable();
         let mut models = self.generation.models.clone();
-        // A sum is freed with the last tile that has it.
+        // A sum is freed with the last tile that holds it.
         let mut holders: std::collections::HashMap<*const PhasorSum, usize> = std::collections::HashMap::new();
         for sums in self.sums.iter().filter_map(resident) {
             for group in sums.shared() {
@@ -122,7 +122,8 @@ impl LiveGrid {
         gone
     }
 
-    /// Reads tiles outside of memory from the newest save, which has them unchanged, so that no older one is kept open.
+    /// Reads tiles outside of memory from the newest save, which contains them unchanged, so that no older save is kept
+    /// open.
     fn follow(&mut self, source: &Arc<dyn TileSource>) {
         let is_older = |cold: &ColdTile| !Arc::ptr_eq(&cold.source, source);
         let is_model_older = |slot: &ModelSlot| matches!(slot, ModelSlot::Cold(cold) if is_older(cold));

@@ -1,4 +1,4 @@
-//! A grid, or a part of it, at one time, tile by tile: cells that never changed as masks, others as numbers.
+//! Predicts a grid, or a part of it, at one time, tile by tile: cells that never changed as masks, others as numbers.
 //!
 //! Invariant: each known cell of the region is reported with the value that [`GridView::predict_tile`] gives it, and no
 //! other cell is reported. The cost of an answer follows the existing tiles, not the size of the region.
@@ -29,10 +29,10 @@ use project::Columns;
 /// The output for each cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum CellOutput {
-    /// Probability that it is occupied.
+    /// Probability that the cell is occupied.
     #[default]
     Probability,
-    /// Entropy of that in bits.
+    /// Entropy of that probability in bits.
     Entropy,
     /// 1 where the probability is at least this, else 0 (T-RO 2017, eq. 9).
     Threshold(f32),
@@ -54,9 +54,9 @@ impl CellOutput {
 pub struct GridQuestion {
     /// Nanoseconds UTC.
     pub utc_nanos: i64,
-    /// Which model answers.
+    /// The model that predicts.
     pub selector: ModelSelector,
-    /// Which cells; `None`: all.
+    /// The cells to predict; `None`: all.
     pub region: Option<CellBox>,
     /// Whether a column along z is reduced to its most probable known cell; ties: the lowest.
     pub project: bool,
@@ -82,17 +82,17 @@ pub struct GridSelection {
 /// The answer for the cells of one tile. A tile of a projection has only the places 0 to 63, with z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TileCells {
-    /// Where it is.
+    /// The index of the tile.
     pub index: TileIndex,
     /// Cells that were ever observed.
     pub known: Mask,
-    /// Of these, cells that have been read as both free and occupied.
+    /// Known cells that have been read as both free and occupied.
     pub changed: Mask,
-    /// Of the known cells that have not changed, those with the higher of two values.
+    /// Known cells that have not changed and have the higher of the two values.
     pub high: Mask,
-    /// Values of the changed cells, by place; where `all_values`, of all known cells.
+    /// Values of the changed cells, by place; if `all_values` is true, values of all known cells.
     pub values: Vec<f32>,
-    /// Whether `values` has all known cells.
+    /// Whether `values` has a value for each known cell.
     pub all_values: bool,
 }
 
@@ -205,7 +205,8 @@ impl GridView {
         GridSelection { region, tiles, cells, tile_count, values_at_most }
     }
 
-    /// The tiles that reach into a box, looked up or looked through, whichever is less work.
+    /// The tiles that reach into a box. The index of tiles or the list of all tiles is searched, whichever is less
+    /// work.
     fn tiles_reaching(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
         if region.is_empty() {
             return Vec::new();
@@ -227,7 +228,7 @@ impl GridView {
         indices.filter_map(|index| Some((index, self.find(index)?))).collect()
     }
 
-    /// Maximum number of values of a tile's answer. A tile outside of memory is not read for it.
+    /// Maximum number of values in the answer for a tile. A tile outside of memory is not read for this.
     fn values_of(&self, index: TileIndex, id: TileId, question: &GridQuestion) -> u64 {
         let within = within(index, question.region.as_ref());
         let live = self.live(id);
@@ -242,8 +243,8 @@ impl GridView {
         }
     }
 
-    /// Adds the probabilities of a tile's cells to `values`, and returns which cells they are of: those that have
-    /// changed, or all known cells if other cells too have values of their own.
+    /// Adds the probabilities of a tile's cells to `values`, and returns the cells that the values belong to: the cells
+    /// that have changed, or all known cells if other cells too have values of their own.
     ///
     /// # Errors
     /// [`TileUnavailable`] where the tile cannot be read from the disk.

@@ -1,10 +1,10 @@
-//! Ray casting: what the readings of a range sensor say about the cells of a grid.
+//! Ray casting: determines the free and occupied cells of a grid from the readings of a range sensor.
 //!
-//! Cells along a ray are free, the cell of its end is occupied, cells beyond stay as they are. Where rays of one scan
+//! Cells along a ray are free, the cell of its end is occupied, cells beyond stay unchanged. Where rays of one scan
 //! disagree on a cell, occupied wins.
 //!
-//! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, by a number of steps that is known
-//! before the first. The cost of a scan is bounded by its [`CastLimits`]; [`CastError`] reports an excess.
+//! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, and the number of steps is known
+//! before the first step. The cost of a scan is bounded by its [`CastLimits`]; [`CastError`] reports an excess.
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -24,7 +24,7 @@ use walk::Walk;
 /// Readings in the sensor's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rays {
-    /// End points of rays: x, y, z of each, in metres. A point that is not finite is ignored.
+    /// End points of rays: x, y, z of each end point, in metres. A point that is not finite is ignored.
     Points(Vec<f32>),
     /// Ranges in the sensor's x-y plane.
     Planar {
@@ -32,7 +32,7 @@ pub enum Rays {
         angle_min_rad: f64,
         /// Angle from one ray to the next, radians.
         angle_increment_rad: f64,
-        /// Metres. Infinity: free up to the maximum range. NaN: no reading.
+        /// Ranges in metres. Infinity: free up to the maximum range. NaN: no reading.
         ranges_m: Vec<f32>,
     },
 }
@@ -67,9 +67,9 @@ pub enum CastError {
     /// A ray is too long.
     #[error("ray {ray} passes {cells} cells, and one ray may pass {max}: send a max_range_m")]
     RayTooLong {
-        /// Which, from 0.
+        /// The number of the ray, from 0.
         ray: usize,
-        /// How many cells it passes.
+        /// The number of cells that the ray passes.
         cells: u64,
         /// The maximum.
         max: u64,
@@ -88,11 +88,11 @@ pub enum CastError {
     },
 }
 
-/// Casts readings into the grid. Returns the tiles that they pass, ascending, with their masks; nothing if no reading
-/// is valid or all lie outside the extent. A flat grid ignores heights.
+/// Casts readings into the grid. Returns the tiles that the rays pass, ascending, with their masks; the result is empty
+/// if no reading is valid or all lie outside the extent. A flat grid ignores heights.
 ///
 /// # Errors
-/// [`CastError`] where a limit is passed.
+/// [`CastError`] where a limit is exceeded.
 pub fn cast(
     spec: &GridSpec,
     readings: &Readings,
@@ -108,7 +108,7 @@ pub fn cast(
             for (ray, point) in xyz.as_chunks::<3>().0.iter().enumerate() {
                 let point = point.map(f64::from);
                 let range = point.iter().map(|along| along * along).sum::<f64>().sqrt();
-                // Not finite or too near.
+                // The reading is not finite or too near.
                 if !(range >= min && range < f64::INFINITY) {
                     continue;
                 }

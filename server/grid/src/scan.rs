@@ -1,18 +1,18 @@
-//! Scans as the log holds them: differences from what their tiles showed before.
+//! Scans in the form that the log holds: differences from the masks that their tiles had before.
 //!
-//! Invariant: cells are numbered tile·512 + place. A flip says that a tile's bit differs from the last scan *in the
-//! order of the log* that saw the tile, whichever producer made it; a tile never seen before has no bit set.
+//! Invariant: cells are numbered tile·512 + place. A flip means that a tile's bit differs from the last scan *in log
+//! order* that saw the tile, whichever producer made that scan; a tile never seen before has no bit set.
 
 use std::sync::Arc;
 
 use crate::index::{CellBox, TILE_CELLS, TileId, TileIndex};
 
-/// A cell of a map: tile and place there as one number.
+/// A cell of a map, as one number: the tile and the place in the tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct CellRef(pub u32);
 
 impl CellRef {
-    /// Tiles that can be numbered.
+    /// Maximum number of tiles that can be numbered.
     pub const TILES_MAX: u32 = u32::MAX / TILE_CELLS as u32;
 
     /// The cell at place `cell` of a tile.
@@ -27,7 +27,7 @@ impl CellRef {
         TileId(self.0 / TILE_CELLS as u32)
     }
 
-    /// Its place in the tile.
+    /// The place of the cell in the tile.
     #[inline]
     pub fn cell(self) -> u16 {
         (self.0 % TILE_CELLS as u32) as u16
@@ -41,7 +41,8 @@ pub struct LoggedScan {
     pub utc_nanos: i64,
     /// Seconds to add to UTC for local civil time.
     pub offset_secs: i32,
-    /// The tiles that were seen, ascending, without duplicates; `None`: the same as in the previous scan in the log.
+    /// The tiles that were seen, ascending, without duplicates; `None`: equal to the tiles of the previous scan in the
+    /// log.
     pub seen: Option<Arc<[TileId]>>,
     /// Cells of seen tiles whose observed bit differs from the last scan of their tile; ascending.
     pub observed_flips: Vec<CellRef>,
@@ -56,6 +57,6 @@ pub struct Scans {
     pub new_tiles: Vec<TileIndex>,
     /// The accepted scans.
     pub scans: Vec<LoggedScan>,
-    /// The cells that they are pictures of, known and unknown ones; empty if they do not say.
+    /// The cells that the scans show, known and unknown; empty if the scans do not state them.
     pub shown: CellBox,
 }

@@ -2,7 +2,8 @@
 //!
 //! With α and β of each reading (see [`crate::sensors`]) a cell of a group has x̄ = (Σα + Σ_occupied β)/n, and Σ x
 //! e^(-jω_k t) = G_k + A_k, where G_k = Σ α e^(-jω_k t) over the group's readings and A_k = Σ β e^(-jω_k t) over the
-//! cell's occupied ones. D_k = Σ β e^(-jω_k t) over the group's readings is A_k of a cell that was always occupied.
+//! cell's occupied readings. D_k = Σ β e^(-jω_k t) over the group's readings is equal to A_k of a cell that was always
+//! occupied.
 //!
 //! With a half-life each reading counts in all of these sums, and in n, with its weight (see [`crate::fade`]).
 //!
@@ -49,7 +50,7 @@ pub struct WeightedSums {
 /// own sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorSums {
-    /// Of each group.
+    /// The weighted sums of each group.
     pub groups: Vec<Option<WeightedSums>>,
 }
 
@@ -63,15 +64,15 @@ impl SensorSums {
 /// The sums over the readings of a group.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct GroupSums {
-    /// B_k.
+    /// The sum B_k.
     pub(crate) plain: Arc<PhasorSum>,
     pub(crate) weighted: Option<WeightedSums>,
-    /// When it was observed; `None` for a part of its readings.
+    /// The times at which the group was observed; `None` for a part of its readings.
     pub(crate) times: Option<Arc<ObservedTimes>>,
 }
 
 impl GroupSums {
-    /// D_k.
+    /// The sum D_k.
     pub(crate) fn beta(&self) -> &Arc<PhasorSum> {
         self.weighted.as_ref().map_or(&self.plain, |weighted| &weighted.beta)
     }
@@ -94,7 +95,7 @@ impl GroupSums {
         }
     }
 
-    /// Sums over these readings and others; at most one of the two has times.
+    /// Sums over these readings and other readings; at most one of the two has times.
     pub(crate) fn plus(&self, other: &GroupSums) -> GroupSums {
         let sum = |one: &PhasorSum, other: &PhasorSum| {
             let mut sum = one.clone();
@@ -105,7 +106,7 @@ impl GroupSums {
             alpha: match (&self.weighted, &other.weighted) {
                 (Some(one), Some(other)) => sum(&one.alpha, &other.alpha),
                 (Some(one), None) => Arc::clone(&one.alpha),
-                // At least one exists.
+                // At least one of the two exists.
                 (None, other) => Arc::clone(other.as_ref().map_or(&self.plain, |other| &other.alpha)),
             },
             beta: sum(self.beta(), other.beta()),
@@ -114,7 +115,7 @@ impl GroupSums {
         GroupSums { plain: sum(&self.plain, &other.plain), weighted, times }
     }
 
-    /// Addresses, which identify equal sums while all of them are alive.
+    /// The addresses of the sums. They identify equal sums while all of them are alive.
     pub(crate) fn addresses(&self) -> [usize; 3] {
         let address = |sum: &Arc<PhasorSum>| Arc::as_ptr(sum) as usize;
         let weighted = self.weighted.as_ref();

@@ -1,12 +1,12 @@
-//! The sensors of a grid: the map's own, and those that producers have announced.
+//! The sensors of a grid: the map's own sensor, and the sensors that producers have announced.
 //!
 //! A reading counts as the posterior P(occupied | reading) of the sensor that made it, under the map's prior. All sums
-//! are kept in units of the map's own sensor, in which its free reading counts as 0 and its occupied one as 1: with
-//! levels f0 and o0 of the map's own and f and o of another sensor, a reading of that counts as α + β·occupied, with α
-//! = (f - f0)/(o0 - f0) and β = (o - f)/(o0 - f0).
+//! are kept in units of the map's own sensor, in which its free reading counts as 0 and its occupied reading as 1: with
+//! levels f0 and o0 of the map's own sensor and f and o of another sensor, a reading of the other sensor counts as α +
+//! β·occupied, with α = (f - f0)/(o0 - f0) and β = (o - f)/(o0 - f0).
 //!
 //! Invariant: sensor 0 is the map's own, with α = 0 and β = 1; the others are numbered in the order in which their
-//! first producers appear in the log, none twice. Every α and β is finite.
+//! first producers appear in the log, each once. Every α and β is finite.
 
 use tidemap_model::StateSensor;
 
@@ -44,7 +44,7 @@ impl std::fmt::Display for ProducerSensor {
 /// Why a sensor is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidSensor {
-    /// Its probabilities do not fit together, or are so small that no posterior follows from them.
+    /// The probabilities are inconsistent, or are so small that no posterior follows from them.
     #[error("sensor of {0}: it must hold 0 <= false alarm < hit <= 1")]
     Range(ProducerSensor),
     /// The map's own sensor is not informative enough.
@@ -53,9 +53,9 @@ pub enum InvalidSensor {
          sensors are kept in its units: no producer may have one of its own"
     )]
     Own {
-        /// What its free readings count as.
+        /// The value that a free reading counts as.
         free: f64,
-        /// What its occupied readings count as.
+        /// The value that an occupied reading counts as.
         occupied: f64,
     },
     /// The map has the maximum number of sensors.
@@ -66,7 +66,7 @@ pub enum InvalidSensor {
 /// The weight of one or more readings in units of the map's own sensor: α + β·occupied.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Weights {
-    /// The part that counts whether free or occupied.
+    /// The part that counts whether the reading is free or occupied.
     pub alpha: f64,
     /// The additional part of an occupied reading.
     pub beta: f64,
@@ -78,7 +78,7 @@ impl Weights {
         Weights { alpha: 0.0, beta: readings as f64 }
     }
 
-    /// Their sum if all, or none, are occupied.
+    /// The sum of the readings if all, or none, are occupied.
     pub fn units(self, is_occupied: bool) -> f64 {
         if is_occupied { self.alpha + self.beta } else { self.alpha }
     }
@@ -113,16 +113,16 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// The map's own alone.
+    /// The sensors of a grid that has only the map's own sensor.
     pub fn new(noise: SensorNoise) -> Sensors {
         let own = Sensor { levels: noise.levels(), weights: Weights::own(1) };
         Sensors { noise, own, others: Vec::new() }
     }
 
-    /// The sensor of a producer that announces one: `None` if it equals the map's own.
+    /// The sensor of a producer that announces this sensor: `None` if it equals the map's own.
     ///
     /// # Errors
-    /// [`InvalidSensor`] where it cannot have it.
+    /// [`InvalidSensor`] where the producer cannot have it.
     pub fn check(&self, announced: ProducerSensor) -> Result<Option<ProducerSensor>, InvalidSensor> {
         if (announced.hit, announced.false_alarm) == (self.noise.hit, self.noise.false_alarm) {
             return Ok(None);
@@ -140,7 +140,7 @@ impl Sensors {
         }
         let (own_free, own_occupied) = self.own.levels;
         let unit = own_occupied - own_free;
-        // NaN is not above it either.
+        // This is also false if the distance is NaN.
         if unit.is_nan() || unit < TOLD_APART {
             return Err(InvalidSensor::Own { free: own_free, occupied: own_occupied });
         }
@@ -158,7 +158,7 @@ impl Sensors {
     /// Numbers a sensor that may be new.
     ///
     /// # Errors
-    /// [`InvalidSensor`] where it cannot be one of them.
+    /// [`InvalidSensor`] where the grid cannot have it.
     pub fn add(&mut self, sensor: Option<ProducerSensor>) -> Result<SensorId, InvalidSensor> {
         if let Some(known) = self.find(sensor) {
             return Ok(known);
@@ -171,7 +171,7 @@ impl Sensors {
         Ok(SensorId(id))
     }
 
-    /// The map's own, as a producer would announce it.
+    /// The map's own sensor, in the form in which a producer would announce it.
     pub fn own(&self) -> ProducerSensor {
         ProducerSensor { hit: self.noise.hit, false_alarm: self.noise.false_alarm }
     }

@@ -1,6 +1,7 @@
 //! A grid after an update, for the store to save and restore.
 //!
-//! Invariant: a snapshot and the events after its map's log position give the grid. It contains the pending scans.
+//! Invariant: a snapshot and the events after its map's log position determine the grid. A snapshot contains the
+//! pending scans.
 
 use std::sync::Arc;
 
@@ -15,16 +16,16 @@ use crate::{
 /// A scan that waits because its time is too far in the future.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FutureScan {
-    /// When it was made.
+    /// The time and the sensor of the scan.
     pub time: ScanTime,
-    /// What it showed.
+    /// The tiles that the scan saw, with their masks.
     pub tiles: Vec<(TileId, TileMasks)>,
 }
 
 /// A whole grid at one log position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSnapshot {
-    /// Tiles; the index is the `TileId`. Settled: none takes part in a run.
+    /// Tiles; the index is the `TileId`. All tiles are settled: none takes part in a run.
     pub tiles: Vec<Arc<LiveTile>>,
     /// The model of each tile, as long as `tiles` or shorter.
     pub models: Vec<ModelSlot>,
@@ -34,20 +35,21 @@ pub struct GridSnapshot {
     pub last_seen: Arc<[TileId]>,
     /// Scans that no update has learned, ascending by day.
     pub days: Vec<GridDay>,
-    /// Number of scans that wait because their time is too far in the future.
+    /// Scans that wait because their time is too far in the future.
     pub future: Vec<FutureScan>,
     /// Scans acknowledged.
     pub scans: u64,
-    /// Observations of single cells in them.
+    /// Observations of single cells in the acknowledged scans.
     pub cell_observations: u64,
-    /// The smallest box of all that scans said to show; empty if none did.
+    /// The smallest box of all cells that scans were stated to show; empty if no scan states any.
     pub shown: CellBox,
-    /// When the first of the pending scans was received, or earlier; nanoseconds UTC of the server's clock.
+    /// The time at which the first of the pending scans was received, or an earlier time; nanoseconds UTC of the
+    /// server's clock.
     pub received_nanos: Option<i64>,
 }
 
 impl GridSnapshot {
-    /// What the generation publishes: the same without the sums and the pending scans.
+    /// The part of the snapshot that the generation publishes: the snapshot without the sums and the pending scans.
     #[must_use]
     pub fn published(&self) -> GridSnapshot {
         GridSnapshot {

@@ -7,7 +7,7 @@ use tidemap_model::{StateSensor, time::HALF_LIFE_MIN_NANOS};
 
 use crate::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
 
-/// Longest frame id in bytes.
+/// Maximum length of a frame id in bytes.
 pub(crate) const FRAME_BYTES_MAX: usize = 128;
 
 /// The fixed properties of a map's occupancy grid.
@@ -21,26 +21,26 @@ pub struct GridSpec {
     pub resolution_m: f64,
     /// Lower corner of cell (0, 0, 0) in the map's frame, metres.
     pub origin_m: [f64; 3],
-    /// The cells that may exist; scans beyond it are ignored. `None`: the grid grows where it is observed.
+    /// The cells that may exist; scans beyond them are ignored. `None`: the grid grows where it is observed.
     pub extent: Option<CellBox>,
     /// How reliable a reading is.
     pub sensor: SensorNoise,
-    /// How long the exact readings are kept.
+    /// The time for which the exact readings are kept.
     pub retention: Retention,
-    /// Age difference to the newest reading of a cell at which a reading counts half in its nightly model, in
-    /// nanoseconds, at least [`HALF_LIFE_MIN_NANOS`]; it is counted in whole local days. `None`: all count alike.
+    /// A reading this much older than the newest reading of its cell counts half in the nightly model; in nanoseconds,
+    /// at least [`HALF_LIFE_MIN_NANOS`], counted in whole local days. `None`: all readings count alike.
     pub half_life_nanos: Option<i64>,
 }
 
-/// How long exact observations are kept. Models do not need them.
+/// The time for which exact observations are kept. Models do not need them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Retention {
-    /// Not at all.
+    /// Exact observations are not kept.
     #[default]
     None,
-    /// For this long, in nanoseconds of the data's own time, at least 1.
+    /// Exact observations are kept for this long, in nanoseconds of the data's own time, at least 1.
     Duration(i64),
-    /// For ever.
+    /// Exact observations are kept for ever.
     Forever,
 }
 
@@ -105,7 +105,7 @@ pub enum InvalidGrid {
 }
 
 impl GridSpec {
-    /// A grid in frame `map`, in three dimensions and without an extent, of a sensor that is always right, without
+    /// A grid in frame `map`, in three dimensions and without an extent, with a sensor that is always right, without
     /// history.
     pub fn new(resolution_m: f64) -> GridSpec {
         GridSpec {
@@ -123,7 +123,7 @@ impl GridSpec {
     /// Checks every field.
     ///
     /// # Errors
-    /// [`InvalidGrid`] with the value that is wrong and what would be right.
+    /// [`InvalidGrid`] with the wrong value and the correct range.
     pub fn check(&self) -> Result<(), InvalidGrid> {
         let frame = &self.frame_id;
         if frame.is_empty() || frame.len() > FRAME_BYTES_MAX || frame.chars().any(|c| c.is_control()) {
@@ -168,7 +168,8 @@ impl GridSpec {
         allowed
     }
 
-    /// The cell that holds a point of the map's frame, in metres; `None` for one that is not finite or beyond any cell.
+    /// The cell that holds a point of the map's frame, in metres; `None` for a point that is not finite or beyond any
+    /// cell.
     pub fn cell_at(&self, point_m: [f64; 3]) -> Option<CellIndex> {
         let limit = f64::from(TILE_LIMIT * TILE_EDGE);
         let mut index = [0; 3];

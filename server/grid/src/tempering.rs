@@ -1,7 +1,7 @@
-//! What the looks at an hour leave of the answers for a tile's changed cells.
+//! Tempers the predictions for a tile's changed cells by how well the hour of the prediction is known.
 //!
-//! Only the model that answers by default is tempered: a model that is asked for by name answers as published.
-//! Invariant: a cell that has never changed is not tempered.
+//! Only the default model is tempered: a model that is requested by name predicts as published. Invariant: a cell that
+//! has never changed is not tempered.
 
 use tidemap_model::{Evidence, InstantPhasors, selector::ModelSelector};
 
@@ -18,7 +18,8 @@ pub(crate) struct Tempering {
 }
 
 impl Tempering {
-    /// At a local civil time, in nanoseconds since 1970-01-01T00:00 local; `None` where all answers stay as they are.
+    /// Gathers the evidence at a local civil time, in nanoseconds since 1970-01-01T00:00 local; `None` where no
+    /// prediction is changed.
     fn new(model: &TileModel, selector: ModelSelector, civil_nanos: i64) -> Option<Tempering> {
         if !selector.leaves_choice() || model.cells.is_empty() {
             return None;
@@ -43,8 +44,8 @@ impl Tempering {
     }
 }
 
-/// What answers for the changed cells of a tile at a time, by their spectral models: each cell and its order give the
-/// probability that it is occupied.
+/// Returns the predictor for the changed cells of a tile at a time, by their spectral models: from a cell and its order
+/// it computes the probability that the cell is occupied.
 pub(crate) fn answers<'a>(
     model: &TileModel,
     selector: ModelSelector,

@@ -1,6 +1,6 @@
-//! What the tests of a grid share: a grid that takes scans and learns them, without a map around it.
+//! Helpers that the tests of a grid share: a grid that takes scans and learns them, without a map around it.
 //!
-//! Invariant: everything is drawn from seeds.
+//! Invariant: all random values are drawn from seeds.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -15,13 +15,14 @@ pub(crate) fn empty() -> LiveGrid {
     LiveGrid::new(Arc::new(GridSpec::new(0.1)))
 }
 
-/// Applies scans of the grid's own sensor, none of which has to wait.
+/// Applies scans of the grid's own sensor. None of them has to wait.
 pub(crate) fn apply(grid: &mut LiveGrid, scans: &Scans) {
     assert_eq!(grid.check(scans), Ok(()));
     grid.apply(scans, None, i64::MAX);
 }
 
-/// Learns all scans before an instant. Also gives the tiles that the update said it would learn, and how many it did.
+/// Learns all scans before an instant. Also returns the number of tiles that the update reported before the run, and
+/// the number that it learned.
 pub(crate) fn learn(
     grid: &mut LiveGrid,
     cut_nanos: i64,
@@ -34,9 +35,9 @@ pub(crate) fn learn(
     (grid.finish_update(basis, result.generation, result.sums), [tiles, progress.into_inner()])
 }
 
-/// A number below `below`.
+/// A random number below `below`.
 pub(crate) fn random(rng: &mut u64, below: usize) -> usize {
-    // SplitMix64.
+    // The generator is SplitMix64.
     *rng = rng.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mixed = (*rng ^ *rng >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);

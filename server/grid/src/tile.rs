@@ -1,9 +1,9 @@
-//! What is learned of one tile: which cells were observed together, and the models and sums of those that changed.
+//! The learned data of one tile: the cells that were observed together, and the models and sums of changed cells.
 //!
 //! A cell that never changed is a bit. Cells that were observed at the same times so far form an observation group and
 //! share B_k = Σ e^(-jω_k t) over its observations; groups of different tiles with the same history share it too. A
-//! cell that changed has A_k over its occupied readings. Where a tile has many groups, the sums of those without a
-//! changed cell stop at some day, and what was observed later is kept as [`ObservationRuns`].
+//! cell that changed has A_k over its occupied readings. Where a tile has many groups, the sums of groups without a
+//! changed cell stop at some day, and later observations are kept as [`ObservationRuns`].
 //!
 //! Invariant: the groups of a tile are disjoint and hold exactly the cells that were ever observed; a changed cell lies
 //! in a group; `TileSums` runs parallel to the groups and cells of its `TileModel`.
@@ -27,11 +27,11 @@ use crate::{
 pub struct Group {
     /// The cells.
     pub cells: Mask,
-    /// Observations of each of them, at least 1.
+    /// Number of observations of each cell, at least 1.
     pub observations: u64,
-    /// Time of the first, nanoseconds UTC.
+    /// Time of the first observation, nanoseconds UTC.
     pub first_nanos: i64,
-    /// Time of the last, nanoseconds UTC.
+    /// Time of the last observation, nanoseconds UTC.
     pub last_nanos: i64,
     /// How well each hour of the day is known.
     pub seen: HoursSeen,
@@ -40,7 +40,7 @@ pub struct Group {
 /// The model of a cell that has changed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellModel {
-    /// Its place in the tile.
+    /// The place of the cell in the tile.
     pub cell: u16,
     /// Number of occupied readings.
     pub occupied: u64,
@@ -50,14 +50,14 @@ pub struct CellModel {
     pub order: u8,
     /// Decayed errors of each order.
     pub errors: OrderErrors,
-    /// The day on which its change alarm rang, if it rings.
+    /// The day on which the cell's change alarm was raised, if the alarm is active.
     pub alarm_day: Option<LocalDay>,
 }
 
 /// The models of one tile in a generation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileModel {
-    /// Observation groups, by their lowest cell.
+    /// Observation groups, ordered by their lowest cell.
     pub groups: Vec<Group>,
     /// Cells that were always read as occupied.
     pub always_occupied: Mask,
@@ -105,7 +105,8 @@ impl TileModel {
         known.map_or_else(|| self.groups.get(group).map_or(0.0, |group| group.observations as f64), |fade| fade.weight)
     }
 
-    /// Whether cells that were always read alike may differ in their levels, as readings of several sensors do.
+    /// Whether cells that were always read alike may differ in their levels; this happens with readings of several
+    /// sensors.
     pub(crate) fn has_own_levels(&self) -> bool {
         self.sensors.as_ref().is_some_and(|sensors| {
             let is_own = |(weights, fade): (&Weights, &GroupFade)| weights.alpha == 0.0 && weights.beta == fade.weight;
@@ -119,7 +120,8 @@ impl TileModel {
         known.unwrap_or_else(|| self.cells.get(cell).map_or(0.0, |cell| cell.occupied as f64))
     }
 
-    /// The means of the readings of a group's cells that were always read as free, and as occupied, by its index.
+    /// The mean reading of the group's cells that were always read as free, and of those always read as occupied. The
+    /// group is given by its index.
     pub(crate) fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
         let weights = self.weights(group);
         let weight = self.weight(group);
@@ -130,8 +132,8 @@ impl TileModel {
         (mean(false), mean(true))
     }
 
-    /// Starts to keep the weights of readings; all so far were of the map's own sensor. With `fades`, also how
-    /// far they fade; all so far count alike.
+    /// Starts to keep the weights of readings; all readings so far were of the map's own sensor. If `fades` is true,
+    /// also starts to keep the fading of the readings; all readings so far count alike.
     pub(crate) fn keep_weights(&mut self, fades: bool) {
         let sensors = self.sensors.get_or_insert_with(|| {
             let groups = self.groups.iter().map(|group| Weights::own(group.observations)).collect();
@@ -158,13 +160,14 @@ impl TileModel {
 /// The sums from which the next generation's models of a tile follow.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileSums {
-    /// B_k of each group; for a group without a changed cell, without the part that `runs` hold.
+    /// B_k of each group; for a group without a changed cell, without the part that `runs` holds.
     pub groups: Vec<Arc<PhasorSum>>,
-    /// A_k of each changed cell, over its occupied readings, each weighted by β.
+    /// A_k of each changed cell, over the cell's occupied readings, each weighted by β.
     pub cells: Vec<PhasorSum>,
-    /// When cells without a complete sum were observed. Unless it is empty, no group has both changed cells and others.
+    /// The observation runs of cells without a complete sum. Unless these are empty, no group has both changed cells
+    /// and others.
     pub runs: ObservationRuns,
-    /// When each group was observed.
+    /// The times at which each group was observed.
     pub times: Vec<Arc<ObservedTimes>>,
     /// Support and change alarm of each changed cell.
     pub watches: Vec<OrderWatch>,
@@ -223,7 +226,7 @@ impl TileSums {
         }
     }
 
-    /// Memory in bytes, about; a sum that groups share counts once, one that tiles share for each.
+    /// Approximate memory in bytes; a sum that groups share counts once, a sum that tiles share counts for each tile.
     pub fn bytes(&self) -> usize {
         let mut distinct: Vec<&Arc<PhasorSum>> = self.shared().collect();
         distinct.sort_unstable_by_key(|sum| Arc::as_ptr(sum));
@@ -231,7 +234,7 @@ impl TileSums {
         self.own_bytes() + distinct.iter().map(|sum| sum.bytes()).sum::<usize>()
     }
 
-    /// Memory in bytes, about, of what is never shared.
+    /// Approximate memory in bytes of the data that is never shared.
     pub(crate) fn own_bytes(&self) -> usize {
         let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
@@ -283,7 +286,7 @@ pub trait TileSource: Send + Sync + std::fmt::Debug {
     /// [`TileUnavailable`] where they cannot be read.
     fn sums(&self, tile: TileId) -> Result<Arc<TileSums>, TileUnavailable>;
 
-    /// The concrete type, so that the store recognises its own.
+    /// The concrete type, so that the store recognises its own sources.
     fn as_any(&self) -> &dyn std::any::Any;
 }
 
@@ -300,7 +303,7 @@ pub struct TileUnavailable {
 /// The place of a tile that is not in memory.
 #[derive(Clone, Debug)]
 pub struct ColdTile {
-    /// Where.
+    /// The source that has the tile.
     pub source: Arc<dyn TileSource>,
     /// The tile.
     pub tile: TileId,
@@ -309,18 +312,18 @@ pub struct ColdTile {
 /// A tile's model, in memory or where it is kept.
 #[derive(Clone, Debug)]
 pub enum ModelSlot {
-    /// In memory.
+    /// The model is in memory.
     Resident(Arc<TileModel>),
-    /// On the disk.
+    /// The model is on the disk.
     Cold(ColdTile),
 }
 
 /// A tile's sums, in memory or where they are kept.
 #[derive(Clone, Debug)]
 pub enum SumsSlot {
-    /// In memory.
+    /// The sums are in memory.
     Resident(Arc<TileSums>),
-    /// On the disk.
+    /// The sums are on the disk.
     Cold(ColdTile),
 }
 
@@ -342,7 +345,7 @@ impl ModelSlot {
     /// The model.
     ///
     /// # Errors
-    /// [`TileUnavailable`] where it cannot be read.
+    /// [`TileUnavailable`] where the model cannot be read.
     pub fn get(&self) -> Result<Arc<TileModel>, TileUnavailable> {
         match self {
             ModelSlot::Resident(model) => Ok(Arc::clone(model)),
@@ -352,14 +355,14 @@ impl ModelSlot {
 }
 
 impl PartialEq for ModelSlot {
-    /// Compares the contents, wherever they are.
+    /// Compares the contents, whether they are in memory or on the disk.
     fn eq(&self, other: &ModelSlot) -> bool {
         matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
     }
 }
 
 impl PartialEq for SumsSlot {
-    /// Compares the contents, wherever they are.
+    /// Compares the contents, whether they are in memory or on the disk.
     fn eq(&self, other: &SumsSlot) -> bool {
         matches!((self.get(), other.get()), (Ok(one), Ok(other)) if one == other)
     }

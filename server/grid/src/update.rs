@@ -1,11 +1,12 @@
-//! The update of a grid: each day's scans are scored, orders are chosen, sums are continued, models trained again.
+//! The update of a grid: it scores each day's scans, chooses orders, continues the sums and trains the models again.
 //!
 //! Tiles that were seen by the same scans of a day are processed together: they share the phasors of those scans and
-//! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a
-//! prediction per look if it has a spectrum to be scored: scans that no candidate period tells apart are one look.
+//! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value and, if
+//! it has a spectrum to be scored, one prediction per scan block: consecutive scans so close in time that no candidate
+//! period can distinguish them (`update/looks.rs`).
 //!
-//! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9, and the
-//! errors of its orders to 1e-3.
+//! Invariant: each cell's model is equal to the result of `StateModel::update` of tidemap-model for the cell's
+//! readings, to 1e-9, and the errors of its orders to 1e-3.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -46,21 +47,21 @@ pub struct GridWork {
     pub(crate) tiles: usize,
 }
 
-/// What an update of a grid learned.
+/// The result of an update of a grid.
 #[derive(Debug)]
 pub struct GridResult {
     /// The models of all tiles.
     pub generation: Generation,
     /// The sums of all tiles.
     pub sums: Vec<SumsSlot>,
-    /// What was done.
+    /// The numbers of the update: observations, errors, orders.
     pub outcome: GridOutcome,
     /// The scans that were learned, by local day, ascending.
     pub days: Vec<GridDay>,
 }
 
 impl GridWork {
-    /// Does the work in pieces of other sizes. Results do not depend on them, except for rounding.
+    /// Does the work in pieces of other sizes. The results do not depend on the sizes, except for rounding.
     #[must_use]
     pub fn with_limits(mut self, limits: UpdateLimits) -> GridWork {
         let chunk_scans = limits.chunk_scans.clamp(1, CHUNK_SCANS_MAX);
@@ -89,8 +90,8 @@ impl GridWork {
         self.days.iter().map(|day| day.scans.len() as u64).sum()
     }
 
-    /// Runs the update on the threads of the rayon pool that this is called in. `pace` counts tiles; each tile is done
-    /// in equal parts on each of its days.
+    /// Runs the update on the threads of the current rayon pool. `pace` counts tiles; each tile is done in equal parts
+    /// on each of its days.
     ///
     /// # Errors
     /// [`TileUnavailable`] where a tile cannot be read back from the disk; nothing has been learned then.
@@ -128,17 +129,17 @@ impl GridWork {
 /// All tiles while the update runs.
 struct Tiles<'a> {
     rules: &'a Rules,
-    /// As they were before.
+    /// The models before the update.
     models: &'a [ModelSlot],
-    /// As they were before; taken out by the update.
+    /// The sums before the update, which takes them out.
     sums: &'a mut [SumsSlot],
-    /// Those that the update has changed.
+    /// The tiles that the update has changed.
     busy: HashMap<TileId, BusyTile>,
 }
 
 impl Tiles<'_> {
-    /// Groups the tiles of a day that were seen by the same scans. Also returns how many have nothing to do. Adds to
-    /// `orders` the orders of cells whose tile no earlier day of the update had.
+    /// Groups the tiles of a day that were seen by the same scans. Also returns the number of tiles without work. Adds
+    /// to `orders` the orders of cells of tiles that no earlier day of the update contained.
     fn batches(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<(Vec<Batch>, usize), TileUnavailable> {
         let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
         let mut batches: Vec<Batch> = Vec::new();

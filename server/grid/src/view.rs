@@ -1,4 +1,4 @@
-//! The immutable picture of a grid that queries read, and its predictions at any time.
+//! The immutable view of a grid that queries read, and its predictions at any time.
 //!
 //! Invariant: a view never changes. A cell that was never observed has no probability.
 
@@ -23,10 +23,10 @@ use crate::{
     tile::{ModelSlot, TileModel, TileUnavailable},
 };
 
-/// Largest extent of a grid whose pictures always have its size.
+/// Maximum number of cells of an extent for pictures of the whole grid to have the size of the extent.
 pub const EXTENT_CELLS_MAX: u128 = 1 << 24;
 
-/// An immutable picture of a grid.
+/// An immutable view of a grid.
 #[derive(Clone, Debug)]
 pub struct GridView {
     pub(crate) spec: Arc<GridSpec>,
@@ -50,9 +50,9 @@ pub struct TilePrediction {
     pub index: TileIndex,
     /// Cells that were ever observed.
     pub known: Mask,
-    /// Of these, cells that have changed.
+    /// Known cells that have changed.
     pub changed: Mask,
-    /// Probability of each known cell that it is occupied, by place; 0 for the others.
+    /// Probability of each known cell to be occupied, by place; 0 for the other cells.
     pub probabilities: Box<[f32; 512]>,
 }
 
@@ -65,30 +65,30 @@ pub struct CellDescription {
     pub spectral: SpectralModel,
     /// Components in force.
     pub order: usize,
-    /// Decayed error sums of the orders; `None` where it has not changed.
+    /// Decayed error sums of the orders; `None` where the cell has not changed.
     pub errors: Option<[f64; tidemap_model::ORDER_MAX + 1]>,
-    /// The day on which its change alarm rang, if it rings.
+    /// The day on which the cell's change alarm was raised, if the alarm is active.
     pub alarm_day: Option<LocalDay>,
     /// Last value and persistence.
     pub persistence: Persistence,
     /// Observations learned.
     pub folded: u64,
-    /// Observations acknowledged, each newer than the one before.
+    /// Observations acknowledged, each newer than the observation before.
     pub observations: u64,
     /// First learned observation, nanoseconds UTC.
     pub first_nanos: Option<i64>,
-    /// How well each hour of the day is known of a changed cell.
+    /// How well each hour of the day is known for a changed cell.
     pub seen: HoursSeen,
 }
 
 impl CellDescription {
-    /// Order of the spectral model of this cell that a selector asks for; 0 for a constant model.
+    /// Order of the spectral model of this cell that a selector requests; 0 for a constant model.
     pub fn order_for(&self, selector: ModelSelector) -> usize {
         if selector.kind.has_order() { selector.order_or(self.order) } else { 0 }
     }
 
-    /// Tempers answers of the cell's model by how well the hours of the moments are known, unless a model was asked for
-    /// by name.
+    /// Tempers predictions of the cell's model by how well the hours of the moments are known, unless a model was
+    /// requested by name.
     pub fn temper(&self, selector: ModelSelector, moments: &[Moment], answers: &mut [f64]) {
         if selector.leaves_choice() && self.changed {
             for (answer, moment) in answers.iter_mut().zip(moments) {
@@ -97,14 +97,14 @@ impl CellDescription {
         }
     }
 
-    /// What the memory of the cell needs beside its last value.
+    /// The data that the memory of the cell needs beside the cell's last value.
     pub fn memory_basis(&self) -> MemoryBasis {
         memory_basis(self.spectral.mean())
     }
 }
 
 impl GridView {
-    /// The grid as readers see it from now on.
+    /// The current grid, as readers see it from now on.
     pub fn new(grid: &mut LiveGrid) -> GridView {
         GridView {
             spec: Arc::clone(&grid.spec),
@@ -152,8 +152,8 @@ impl GridView {
         self.pending_scans
     }
 
-    /// Those of them that wait because their time is more than
-    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) ahead of the clock.
+    /// Number of scans that no update has learned and that wait because their time is more than
+    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) later than the clock.
     pub fn scans_ahead(&self) -> u64 {
         self.scans_ahead
     }
@@ -163,7 +163,7 @@ impl GridView {
         self.cell_observations
     }
 
-    /// A tile as the newest scans show it.
+    /// A tile according to its newest scans.
     pub fn live(&self, tile: TileId) -> Option<&LiveTile> {
         let index = tile.0 as usize;
         self.chunks.get(index / TILE_CHUNK)?.get(index % TILE_CHUNK).map(AsRef::as_ref)
@@ -181,7 +181,8 @@ impl GridView {
     }
 
     /// The cells of a picture of the whole grid: the extent, where the grid has one of at most [`EXTENT_CELLS_MAX`];
-    /// else the smallest box of all known cells and of what scans said to show. Empty if no cell is known.
+    /// else the smallest box of all known cells and of the cells that scans were stated to show. Empty if no cell is
+    /// known.
     pub fn region(&self) -> CellBox {
         let empty = CellBox { min: CellIndex::default(), max: CellIndex::default() };
         let known = self.ids.iter().fold(empty, |known, (index, &id)| {
@@ -198,7 +199,7 @@ impl GridView {
         }
     }
 
-    /// The known cells of a tile; `None` where only the disk knows them.
+    /// The known cells of a tile; `None` where this information is only on the disk.
     fn known_of(&self, id: TileId) -> Option<Mask> {
         let live = self.live(id).map(|live| live.known);
         match self.generation.model(id) {
@@ -208,7 +209,7 @@ impl GridView {
         }
     }
 
-    /// The tiles that reach into a box, by place: z, then y, then x ascending.
+    /// The tiles that reach into a box, by position: z, then y, then x ascending.
     pub fn tiles_in(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
         let reaches = |index: &&TileIndex| !index.cells().intersection(region).is_empty();
         let mut tiles: Vec<(TileIndex, TileId)> =
@@ -217,10 +218,10 @@ impl GridView {
         tiles
     }
 
-    /// The model that the last update gave a tile.
+    /// The model of a tile from the last update.
     ///
     /// # Errors
-    /// [`TileUnavailable`] where it cannot be read from the disk.
+    /// [`TileUnavailable`] where the model cannot be read from the disk.
     pub fn model(&self, tile: TileId) -> Result<Arc<TileModel>, TileUnavailable> {
         self.generation.model(tile).map_or_else(|| Ok(Arc::default()), ModelSlot::get)
     }
@@ -274,7 +275,7 @@ impl GridView {
             for cell in live.known.cells() {
                 let Some(out) = out.get_mut(usize::from(cell)) else { continue };
                 let last = live.value(cell, &self.sensors);
-                // No change.
+                // The probability does not change.
                 if *out != last as f32 {
                     let persistence = live.persistence(cell, self.run, &self.sensors);
                     let p = f64::from(*out);
@@ -331,7 +332,7 @@ impl GridView {
         Some(CellDescription { observations, persistence, ..self.describe_learned(model, place) })
     }
 
-    /// What a tile's model says of one of its cells; nothing of its newest readings.
+    /// The description of a cell by its tile's model, without its newest readings.
     pub fn describe_learned(&self, model: &TileModel, place: u16) -> CellDescription {
         let at = model.groups.iter().position(|group| group.cells.contains(place));
         let group = at.and_then(|at| model.groups.get(at));
@@ -366,7 +367,7 @@ impl GridView {
 /// The smallest box of some cells of a tile.
 fn known_box(index: TileIndex, known: Mask) -> CellBox {
     let layer = known.0.iter().fold(0, |all, layer| all | layer);
-    // The bits of all rows of a layer in one byte.
+    // This byte combines the bits of all rows of a layer.
     let columns = layer.to_le_bytes().into_iter().fold(0, |all, row| all | row);
     let (mut rows, mut layers) = (0_u8, 0_u8);
     for bit in 0..8 {

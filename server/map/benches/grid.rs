@@ -1,7 +1,7 @@
 //! An occupancy grid on the day of T-RO 2017, section VI: 416 tiles, 17,200 scans, 600,000 changes, 168 periodicities.
 //!
-//! `cargo bench -p tidemap-map --bench grid`. An update of the first day accumulates and trains; that of the second
-//! scores as well, by models of 15 components. Updates run on one thread.
+//! Run it with `cargo bench -p tidemap-map --bench grid`. The update of the first day accumulates and trains; the
+//! update of the second day also scores, with models of 15 components. Updates run on one thread.
 
 use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};
 
@@ -28,7 +28,7 @@ use crate::office::{CELLS, DAY_NANOS, FLIPS, Office, SCANS, TILES, apply, spec};
 #[path = "grid/office.rs"]
 mod office;
 
-/// Scans of an event.
+/// Number of scans of an event.
 const BATCH: usize = 100;
 
 fn learn(map: &mut LiveMap, day: i64) -> UpdateWork {
@@ -41,7 +41,7 @@ fn finish(map: &mut LiveMap, work: UpdateWork) -> MapSnapshot {
     map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"))
 }
 
-/// A map into which a day has gone, and its update.
+/// A map that has learned a day, and the map's update.
 fn full(spec: &Arc<MapSpec>, before: Option<&MapSnapshot>, events: &[Event], day: i64) -> (LiveMap, UpdateWork) {
     let mut map = match before {
         Some(snapshot) => LiveMap::restore(Arc::clone(spec), snapshot.clone()),
@@ -166,7 +166,7 @@ fn predict(c: &mut Criterion, spec: &Arc<MapSpec>, learned: MapSnapshot) {
     group.finish();
 }
 
-/// Tiles whose cells are each observed at times of their own, as at the edge of sight: every cell is a group.
+/// Measures tiles whose cells are each observed at different times, as at the edge of sight: every cell is a group.
 fn flicker(c: &mut Criterion) {
     const SOME: usize = 16;
     let spec = spec(Retention::None);
@@ -190,7 +190,7 @@ fn flicker(c: &mut Criterion) {
     group.finish();
 }
 
-/// What tiles take that a robot sees on its rounds, each time other cells of them, after some days.
+/// Measures the memory of tiles that a robot sees on its rounds, each time other cells of them, after some days.
 fn patrol(_: &mut Criterion) {
     const SOME: usize = 16;
     let spec = spec(Retention::None);
@@ -206,7 +206,7 @@ fn patrol(_: &mut Criterion) {
     }
 }
 
-/// What memory the grid takes.
+/// Reports the memory of the grid.
 fn report(learned: &MapSnapshot, mut map: LiveMap) {
     let view = map.publish();
     let grid = view.grid().expect("a grid");

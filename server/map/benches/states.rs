@@ -1,9 +1,9 @@
 //! A night of 10,000 named states that were read once a minute, on two threads.
 //!
-//! `cargo bench -p tidemap-map --bench states`. The update scores and learns a day of 1,440 readings of each state:
-//! with no calibrated model to train, and with as many as an update trains, each on twelve weeks of minutes. Measured
-//! once each, because a night takes seconds. The readings of earlier updates come from memory; reading files is the
-//! store's.
+//! Run it with `cargo bench -p tidemap-map --bench states`. The update scores and learns a day of 1,440 readings of
+//! each state: with no calibrated model to train, and with as many as an update trains, each on twelve weeks of
+//! minutes. Each case is measured once, because a night takes seconds. The readings of earlier updates come from
+//! memory; the benches of the store measure the reading of files.
 
 use std::{
     sync::{Arc, atomic::AtomicU64},
@@ -23,10 +23,10 @@ use tidemap_model::{Sample, catalogue::NIGHTLY_WINDOW_NANOS};
 const STATES: u32 = 10_000;
 const MINUTE: i64 = 60_000_000_000;
 const DAY: i64 = 1440 * MINUTE;
-/// Days of a reading an hour before the nights that are measured: then every state is due.
+/// Number of days, with a reading an hour, before the nights that are measured: then every state is due.
 const BEFORE: i64 = 7;
 
-/// Open from about nine to five on weekdays, now and then shut for some minutes.
+/// The state is open from about nine to five on weekdays, and shut for some minutes now and then.
 fn value(state: u32, minute: i64) -> f64 {
     let (day, of_day) = (minute.div_euclid(1440), minute.rem_euclid(1440));
     let seed = (u64::from(state) << 40) ^ (minute / 7).unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -35,7 +35,7 @@ fn value(state: u32, minute: i64) -> f64 {
     f64::from(u8::from((day + 3).rem_euclid(7) < 5 && (opens..opens + 480).contains(&of_day) && !shut))
 }
 
-/// Twelve weeks of minutes before a night, the same for all states.
+/// Twelve weeks of minutes before a night, equal for all states.
 #[derive(Debug)]
 struct Weeks(Vec<Sample>);
 
@@ -92,14 +92,15 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
     }
 }
 
-/// The CPU time of this process so far, which says more than the clock where the machine is busy; in hundredths.
+/// The CPU time of this process so far, in seconds to the hundredth; it is a better measure than the clock where the
+/// machine is busy.
 fn cpu_secs() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after_name = stat.rsplit(')').next().unwrap_or_default();
     after_name.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// The update after a day; gives its seconds.
+/// Runs the update after a day; returns its seconds.
 fn update(map: &mut LiveMap, pool: &rayon::ThreadPool, day: i64, readings: Option<Arc<dyn StateReadings>>) -> f64 {
     let cut = (day + 1) * DAY;
     let start = Event::UpdateStart(map.plan_update(Some(cut), cut, UpdateCause::Midnight));
@@ -120,7 +121,7 @@ fn main() {
     let spec = MapSpec::new(MapName::new("bench").expect("valid"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mut map = LiveMap::new(Arc::new(spec));
-    // After twelve weeks, of which this map has seen the last.
+    // The night comes after twelve weeks, of which this map has seen the last.
     let first = NIGHTLY_WINDOW_NANOS / DAY;
     for day in first..first + BEFORE {
         observe(&mut map, day, 60);

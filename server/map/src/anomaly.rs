@@ -1,10 +1,11 @@
-//! Observations that a model did not expect (T-RO 2017, section V; for continuous and count states see `values.rs`).
+//! Anomalies: observations that a model did not expect (T-RO 2017, section V; for continuous and count states see
+//! `values.rs`).
 //!
-//! What was unusual before it was learned is kept at updates (`learned.rs`). Apart from that a past observation is
-//! judged by the model of one view. A watched observation is judged by the models in force when the watch processes it,
-//! even if the observation itself must wait to be learned. Models that answer from the newest value judge nothing,
-//! because at the time of an old observation that value was another. A scan is logged as changed bits of tiles, so a
-//! watch follows those of its cells ([`tidemap_grid::follower`]).
+//! Updates keep the observations that were unusual before they were learned (`learned.rs`). All other past observations
+//! are judged by the model of one view. A watched observation is judged by the models in force when the watch processes
+//! it, even if the observation itself must wait to be learned. Models that predict from the newest value judge nothing,
+//! because the newest value at the time of an old observation was different. A scan is logged as changed bits of tiles,
+//! so a watch follows the bits of its cells ([`tidemap_grid::follower`]).
 //!
 //! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
 //! untrained state has no anomalies.
@@ -14,7 +15,8 @@ use tidemap_model::selector::{Blend, ModelKind, ModelSelector};
 
 use crate::{history::Reading, view::MapView};
 
-/// How sure a model must be for an observation of the contrary to count as an anomaly: above 0.5, at most 1.
+/// The probability from which a model counts as sure, so that an observation of the contrary is an anomaly: above 0.5,
+/// at most 1.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Confidence(f64);
 
@@ -35,7 +37,7 @@ impl Confidence {
         if confidence > 0.5 && confidence <= 1.0 { Ok(Self(confidence)) } else { Err(InvalidConfidence(confidence)) }
     }
 
-    /// The number.
+    /// The confidence as a number.
     pub fn get(self) -> f64 {
         self.0
     }
@@ -47,12 +49,12 @@ impl Default for Confidence {
     }
 }
 
-/// Whether an observed value, in [0, 1], is the contrary of what a model says with confidence c, which gives the state
-/// the value 1 with `probability`: it is below 0.5 where p ≥ c, or not below 0.5 where p ≤ 1 − c.
+/// Whether an observed value, in [0, 1], contradicts a model with confidence c that predicts `probability` for the
+/// value 1: the value is below 0.5 where p ≥ c, or not below 0.5 where p ≤ 1 − c.
 ///
 /// T-RO 2017, section V: a measurement is anomalous where it is less than s'(t, c) or greater than s'(t, 1 − c), with
 /// s'(t, c) = p(t) ≥ c (eq. 9). Both sides include the threshold here, so that they are alike and that a model which is
-/// certain can be contradicted at confidence 1; and a value between 0 and 1 counts as the one that it is nearer to.
+/// certain can be contradicted at confidence 1. A value between 0 and 1 counts as the nearer of the two.
 pub(crate) fn is_anomalous(value: f64, probability: f64, confidence: Confidence) -> bool {
     if value < 0.5 { probability >= confidence.0 } else { probability <= 1.0 - confidence.0 }
 }
@@ -60,9 +62,9 @@ pub(crate) fn is_anomalous(value: f64, probability: f64, confidence: Confidence)
 /// An observation that the model did not expect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anomaly {
-    /// When, nanoseconds UTC.
+    /// The time, nanoseconds UTC.
     pub utc_nanos: i64,
-    /// What was observed, in the bounds of the state's kind.
+    /// The observed value, in the bounds of the state's kind.
     pub value: f64,
     /// For probability states, the model's probability of the value 1. For other kinds the p-value: the probability of
     /// a value at least as far from the prediction, to either side. In [0, 1].
@@ -83,7 +85,7 @@ pub fn anomalies<'a>(
 /// Why a model cannot judge observations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CannotJudge {
-    /// The model answers from the newest value, which is not the value before the observation.
+    /// The model predicts from the newest value, which is not the value before the observation.
     #[error("{0} answers from the newest value, not from the one before an observation: use a model such as auto")]
     Newest(ModelKind),
     /// The newest value is blended in.
@@ -97,7 +99,7 @@ pub enum CannotJudge {
 /// Whether a model can judge past observations.
 ///
 /// # Errors
-/// [`CannotJudge`], with what to use instead.
+/// [`CannotJudge`], with the model to use instead.
 pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
     match model.kind {
         kind if kind.takes_newest() => Err(CannotJudge::Newest(model.kind)),
@@ -109,7 +111,7 @@ pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
 /// Whether a model can judge observations as they arrive: every view has such a model ready.
 ///
 /// # Errors
-/// [`CannotJudge`], with what to use instead.
+/// [`CannotJudge`], with the model to use instead.
 pub fn can_watch(model: ModelSelector) -> Result<(), CannotJudge> {
     can_judge(model)?;
     if model.kind.needs_readings() { Err(CannotJudge::NeedsTraining(model.kind)) } else { Ok(()) }

@@ -1,7 +1,8 @@
-//! Which states a map has: names to indices and back.
+//! The directory of the states of a map: names to indices and back.
 //!
-//! Invariant: an index is given once, and its state keeps it under another name. Cheap to share: a clone is a handful
-//! of pointers, and adding a name copies only the shard and the chunk that it lands in when a view still holds them.
+//! Invariant: an index is assigned once, and its state keeps it after a rename. A clone of the directory is cheap: it
+//! is a handful of pointers, and adding a name copies only the shard and the chunk in which it is stored, when a view
+//! still holds them.
 
 use std::{
     collections::HashMap,
@@ -20,16 +21,16 @@ const CHUNK: usize = 256;
 
 type Shard = HashMap<StateName, StateId>;
 
-/// What is fixed for a state, but for its name.
+/// The fixed properties of a state, and its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StateInfo {
     /// The name of the state, unique within the map.
     pub name: StateName,
     /// The kind of values that the state has; never changes.
     pub kind: StateKind,
-    /// The sensor that reads it, where it is known; never changes.
+    /// The sensor that reads the state, where it is known; never changes.
     pub sensor: Option<StateSensor>,
-    /// How its rows come about; never changes.
+    /// How the rows of the state are reported; never changes.
     pub reporting: Reporting,
 }
 
@@ -39,7 +40,7 @@ pub(crate) struct Directory {
     hasher: RandomState,
     shards: Arc<Vec<Arc<Shard>>>,
     chunks: Arc<Vec<Arc<Vec<StateInfo>>>>,
-    /// Of each categorical state the first label, and how many there are.
+    /// For each categorical state, the first label and the number of labels.
     categorical: Arc<HashMap<StateName, (StateId, u8)>>,
     len: usize,
 }
@@ -68,12 +69,12 @@ impl Directory {
         self.shards[self.shard(name)].get(name).copied()
     }
 
-    /// What observations of a name are, with the id of its state, or of its first axis or label.
+    /// The shape of the observations of a name, with the id of its state, or of its first axis or label.
     pub(crate) fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         if let Some(id) = self.find(name) {
             return Some((id, StateShape::Scalar(self.info(id)?.kind)));
         }
-        // A vector has a plain name: `edge/A/B/x` is an edge with the action x. So has an angle.
+        // A vector has a plain name: `edge/A/B/x` is an edge with the action x. An angle has a plain name too.
         if name.contains('/') {
             return None;
         }
@@ -94,7 +95,8 @@ impl Directory {
         self.categorical.keys()
     }
 
-    /// The states that are labels of one state, or cosine and sine of one angle: the first, and how many follow it.
+    /// The states that are labels of one state, or cosine and sine of one angle: the first state of each, and how many
+    /// there are.
     pub(crate) fn parts(&self) -> Vec<(StateId, usize)> {
         let whole = |info: &StateInfo| {
             let label = info.name.as_label().map(|(state, _)| state.to_owned());

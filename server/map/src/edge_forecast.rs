@@ -1,11 +1,11 @@
 //! The forecast of an edge of the topological map: its success probability, the evidence for it, and its duration.
 //!
 //! An edge is learned from few reports, most of them at hours at which robots used it. Its forecast combines three
-//! sources: what the edges of the map have in common, the edge's own temporal model, and the reports at about that hour
-//! of the week. More specific sources gain weight as reports accumulate; at an hour without reports the model, which
-//! follows from other hours alone, is drawn to the map's mean. Models forget hours at which a route avoids the edge;
-//! the reports of these hours do not. The model counts more if the hours of the edge do not differ
-//! (`edge_forecast/hour_uniformity.rs`). So a probability is the mean of a Beta distribution and never reaches 0: a
+//! sources: the means over all edges of the map, the edge's own temporal model, and the reports at about that hour of
+//! the week. More specific sources gain weight as reports accumulate; at an hour without reports the model's
+//! prediction, which follows from other hours alone, is drawn to the map's mean. Models forget hours at which a route
+//! avoids the edge; the reports of these hours stay. The model counts more if the hours of the edge do not differ
+//! (`edge_forecast/hour_uniformity.rs`). A probability is the mean of a Beta distribution, so it never reaches 0: a
 //! robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive Topological
 //! Navigation").
 //!
@@ -34,12 +34,12 @@ const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// Weight, in reports, of the map as the prior of an edge, and minimum weight of the edge's model as the prior of an
 /// hour of the week.
 const PRIOR_REPORTS: f64 = 2.0;
-/// Weight, in reports, that a report at about an hour adds to the edge's model against the map's mean at that hour.
-/// Chosen with the seeds 100 to 107 of `tidemap-research routes`, among 1, 4, 16 and 64.
+/// Weight, in reports, that a report at about an hour adds to the edge's model against the map's mean at that hour. It
+/// was chosen with the seeds 100 to 107 of `tidemap-research routes`, among 1, 4, 16 and 64.
 const MODEL_PER_REPORT: f64 = 16.0;
 /// Weight of a report that is 0, 1 or 2 hours of the day away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];
-/// Weight of a report of another day of the week: of the same kind (weekday, weekend), and of the other.
+/// Weight of a report of another day of the week: of a day of the same kind (weekday, weekend), and of the other kind.
 const OTHER_DAY: [f64; 2] = [0.7, 0.3];
 /// Maximum ratio between the speed of an edge and the usual speed, both ways.
 const SPEED_RATIO_MAX: f64 = 20.0;
@@ -64,20 +64,20 @@ pub struct EdgeForecast {
 /// The states that learn from traversals of an edge; none before its first report.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EdgeStates {
-    /// Whether it was passed.
+    /// State of whether the edge was passed.
     pub success: Option<StateId>,
-    /// Speed in metres per second for an edge with a length, otherwise nominal time over time taken.
+    /// State of the speed in metres per second for an edge with a length, otherwise of nominal time over time taken.
     pub travel: Option<StateId>,
 }
 
-/// What the edges of a map have in common.
+/// Means over the edges of a map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgePrior {
     /// Probability that an edge is passed.
     pub success: f64,
-    /// Metres a second.
+    /// Speed, metres per second.
     pub speed_m_per_s: f64,
-    /// Nominal seconds a second.
+    /// Pace, nominal seconds per second.
     pub pace: f64,
 }
 
@@ -107,15 +107,15 @@ impl EdgePrior {
     }
 }
 
-/// What was reported of an edge.
+/// The reports of an edge.
 #[derive(Clone, Debug)]
 pub struct EdgeRecord {
     extent: Extent,
     /// Weight of the learned reports of success or failure, and of speeds.
     tried: f64,
     travelled: f64,
-    /// By hour of the week: the weight of reports at about that hour, and of those that succeeded; `None` without
-    /// reports.
+    /// For each hour of the week: the weight of the reports at about that hour, and the weight of the reports of
+    /// success; `None` without reports.
     by_hour: Option<Box<[[f64; 2]; WEEK_HOURS]>>,
     /// Weight, in reports, of the edge as a whole as the prior of one of its hours.
     hour_uniformity: f64,
@@ -142,7 +142,7 @@ impl EdgeRecord {
         let blend =
             |weight: f64, value: f64, before: f64| (weight * value + PRIOR_REPORTS * before) / (weight + PRIOR_REPORTS);
         let [tried, passed] = self.by_hour.as_ref().map_or([0.0, 0.0], |hours| hours[hour_of_week(at)]);
-        // What the model says of an hour that it has not seen follows from other hours alone.
+        // The prediction of the model for an hour without reports follows from other hours alone.
         let known = self.tried.min(self.hour_uniformity + MODEL_PER_REPORT * tried);
         let model = blend(known, finite_or(success, prior.success).clamp(0.0, 1.0), prior.success);
         let weight = self.tried.min(self.hour_uniformity) + PRIOR_REPORTS;
@@ -181,10 +181,10 @@ fn hour_of_week(at: Moment) -> usize {
 /// The readings at about each hour of the week: `[weight, sum]`.
 fn near_hours(table: &HourTable) -> Box<[[f64; 2]; WEEK_HOURS]> {
     let mut near = Box::new([[0.0; 2]; WEEK_HOURS]);
-    // Around each hour first, wrapping at the end of the week; then over the days.
+    // The sums are first over the hours around each hour, wrapping at the end of the week, then over the days.
     for hour in 0..WEEK_HOURS {
         for (away, weight) in NEAR_HOURS.into_iter().enumerate() {
-            // Before and after; the hour itself only once.
+            // The hours before and after count; the hour itself counts only once.
             let others = [hour + away, hour + WEEK_HOURS - away];
             for other in others.into_iter().take(if away == 0 { 1 } else { 2 }) {
                 let [count, sum] = table.readings(other % WEEK_HOURS);

@@ -1,12 +1,13 @@
-//! Erasing states, or some of the observations: snapshot, events and history as they would be if these had never been.
+//! Erases states, or some of the observations: snapshot, events and history become as if these had never been.
 //!
 //! The states after an erased one move up, so that ids stay without gaps. Positions of events do not change: an event
-//! of which nothing remains becomes the edit that sets the charger to where it already is. Nor do the producers' marks:
-//! an erased observation still counts as acknowledged, so that it is ignored when it is sent again.
+//! with nothing left becomes an edit that sets the charger to its current position. The producers' marks do not change
+//! either: an erased observation still counts as acknowledged, so that it is ignored when it is sent again.
 //!
-//! What else names states is in the table of `references.rs`.
+//! The table of `references.rs` lists what else names states.
 //!
-//! Invariant: the remaining states keep every bit of what they have learned, and of what they still have to learn.
+//! Invariant: the remaining states keep every bit of their learned data, and of the observations that they have not
+//! learned yet.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -37,39 +38,39 @@ pub use relearn::Relearning;
 pub use request::{ErasureRequest, RequestedPart};
 pub use selection::{Decision, NotErasable, Selection, Survey};
 
-/// Observations that are erased of states that remain.
+/// The erasure of observations of states that remain.
 #[derive(Clone, Debug)]
 struct Part {
     selection: Selection,
     decision: Decision,
     /// The states of the snapshot that have changed.
     relearned: BTreeMap<StateId, StateSnapshot>,
-    /// Edges of which the failed traversals are selected: names of the selected states.
+    /// Names of the selected states. Of edges among them, the failed traversals are selected.
     names: BTreeMap<StateId, StateName>,
 }
 
-/// Rewrites what a map is made of without some of its states: first the snapshot, then the events in their order.
+/// Rewrites the data of a map without some of its states: first the snapshot, then the events in their order.
 #[derive(Clone, Debug)]
 pub struct StateErasure {
     /// Ascending.
     erased: Vec<StateId>,
-    /// Names of the erased states, as far as they are known.
+    /// Names of the erased states that are known so far.
     names: BTreeMap<StateId, StateName>,
-    /// All names that they have had or will have.
+    /// All names that the erased states have had or will have.
     all_names: BTreeSet<StateName>,
     /// Position of the snapshot; 0 without one.
     position: u64,
-    /// Where the charger is.
+    /// Position of the charger.
     charger_m: Option<[f64; 2]>,
-    /// The locations that there are.
+    /// The locations that exist.
     locations: BTreeSet<StateName>,
     part: Option<Part>,
-    /// The keys that producers get.
+    /// The new keys of producers.
     keys: BTreeMap<ProducerId, ProducerKey>,
 }
 
 impl StateErasure {
-    /// The erasure of these states.
+    /// Erases these states.
     #[must_use]
     pub fn new(mut erased: Vec<StateId>) -> Self {
         erased.sort_unstable();
@@ -78,8 +79,8 @@ impl StateErasure {
         Self { erased, names, all_names, position: 0, charger_m: None, locations: BTreeSet::new(), part: None, keys }
     }
 
-    /// The erasure of these states, and of the selected observations of the others. `relearned`: the states of the
-    /// snapshot as [`Relearning::learn`] returns them, for all that the decision names.
+    /// Erases these states, and the selected observations of the others. `relearned`: the states of the snapshot as
+    /// [`Relearning::learn`] returns them, for all states that the decision names.
     #[must_use]
     pub fn of_part(
         erased: Vec<StateId>,
@@ -143,13 +144,13 @@ impl StateErasure {
         snapshot
     }
 
-    /// The site without what names the states.
+    /// The site without the parts that name the erased states.
     fn site(&self, site: &Site) -> Site {
         REFERENCES.iter().fold(site.clone(), |site, reference| (reference.site)(self, site))
     }
 
     /// Notes the names that an event gives to the states. Called for all events before any is rewritten: a task may
-    /// name a state before there is one.
+    /// name a state before the state exists.
     pub fn note(&mut self, event: &Event) {
         let new = match event {
             Event::Observations(_, observations) => &observations.new_states[..],
@@ -215,15 +216,15 @@ impl StateErasure {
         let edit = match edit {
             SiteEdit::SetLocation(name, location) => match self.location(&location) {
                 Some(location) => SiteEdit::SetLocation(name, location),
-                // The snapshot is without it.
+                // The snapshot does not have the location.
                 None if position <= self.position => return self.unchanged(),
-                // It replaced what had its name.
+                // The location replaced another of its name.
                 None => SiteEdit::RemoveLocation(name),
             },
             edit => edit,
         };
         let edit = REFERENCES.iter().fold(edit, |edit, reference| (reference.edit)(self, edit));
-        // The snapshot has the earlier edits, which are not applied again.
+        // The snapshot contains the earlier edits, which are not applied again.
         if position > self.position {
             match &edit {
                 SiteEdit::Charger(at_m) => self.charger_m = *at_m,
@@ -248,7 +249,8 @@ impl StateErasure {
     fn observations(&mut self, position: u64, producer: ProducerId, mut event: Observations) -> Observations {
         event.new_states =
             std::mem::take(&mut event.new_states).into_iter().filter_map(|new| self.new_state(new)).collect();
-        // The snapshot has those up to its position: here they are read for pending observations only.
+        // The snapshot contains the failures and task reports up to its position: earlier events are read for pending
+        // observations only.
         let is_known = position <= self.position;
         let part = self.part.as_ref();
         let is_selected = |failure: &EdgeFailure| part.is_some_and(|part| part.takes(producer, failure));

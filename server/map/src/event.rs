@@ -1,10 +1,11 @@
 //! The events of a map. The observation log stores events, and applying them is the only way in which a map changes.
 //!
-//! A position is a vector of two or three coordinates. For the map it is its axes: continuous states `NAME/x`, `NAME/y`
-//! and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history, updates and models do
-//! not know vectors. A plain name has no `/`, so no producer can send to a single axis. A position is accepted or
-//! refused as a whole, and its axes are observed in one event. An angle likewise is the states `NAME/cos` and
-//! `NAME/sin`; a categorical state is a probability for each label, `NAME/LABEL`, all observed in one event.
+//! A position is a vector of two or three coordinates. The map keeps the axes of a position: continuous states
+//! `NAME/x`, `NAME/y` and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history,
+//! updates and models contain no vectors. A plain name has no `/`, so no producer can send to a single axis. A position
+//! is accepted or refused as a whole, and its axes are observed in one event. In the same way, an angle is the states
+//! `NAME/cos` and `NAME/sin`; a categorical state is a probability for each label, `NAME/LABEL`, all observed in one
+//! event.
 //!
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
@@ -33,8 +34,8 @@ pub struct OffsetRun {
     pub offset_secs: i32,
 }
 
-/// What every event of a producer has besides its content: who sent it, which part of the producer's sequence it
-/// covers, and what of that part was refused.
+/// The data of every event of a producer besides its content: its producer, the part of the producer's sequence that it
+/// covers, and the refused observations or scans of that part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Envelope {
     /// The producer.
@@ -45,7 +46,7 @@ pub struct Envelope {
     pub incarnation: u64,
     /// The part of the producer's sequence that the event covers, refused observations or scans included; not empty.
     pub span: SequenceSpan,
-    /// When it was received, nanoseconds UTC of the server's clock.
+    /// The time at which the event was received, nanoseconds UTC of the server's clock.
     pub received_nanos: i64,
     /// Refused observations or scans: sequence number and reason, ascending.
     pub refused: Vec<(u64, RefusalReason)>,
@@ -70,7 +71,7 @@ pub struct SequenceSpan {
 }
 
 impl SequenceSpan {
-    /// Whether there is no sequence number in it.
+    /// Whether the span has no sequence number.
     pub fn is_empty(self) -> bool {
         self.last < self.first
     }
@@ -81,19 +82,19 @@ impl SequenceSpan {
 pub struct Observations {
     /// States that appear for the first time; the ids continue those of the map.
     pub new_states: Vec<NewState>,
-    /// Per accepted observation: the state. A position is an observation of each of its axes, one after the other, with
-    /// one sequence number; so is a traversal of the one or two states of its edge.
+    /// The state of each accepted observation. A position is an observation of each of its axes, one after the other,
+    /// with one sequence number; a traversal is one of the one or two states of its edge in the same way.
     pub states: Vec<StateId>,
-    /// Per accepted observation: time in nanoseconds UTC, at least 0.
+    /// The time of each accepted observation, in nanoseconds UTC, at least 0.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that the state's kind allows. NaN of a state that does not report samples: its
-    /// sensor knows no value from then on.
+    /// The value of each accepted observation, which the state's kind allows. NaN for a state that does not report
+    /// samples means that its sensor knows no value from then on.
     pub values: Vec<f64>,
     /// UTC offsets of the accepted observations; the counts add up to their number.
     pub offsets: Vec<OffsetRun>,
-    /// Traversals that failed, each with an observation of its edge's state among those above.
+    /// Traversals that failed, each with an observation of its edge's state among the observations above.
     pub failures: Vec<EdgeFailure>,
-    /// Reports of tasks, each with an observation of its state among those above.
+    /// Reports of tasks, each with an observation of its state among the observations above.
     pub runs: Vec<TaskRun>,
 }
 
@@ -125,27 +126,28 @@ impl Observations {
 /// A state, or a vector of states, that appears for the first time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewState {
-    /// Its id; for a vector or an angle, the id of the first axis, followed by the others; likewise for labels.
+    /// The id of the state; for a vector, an angle or a categorical state, the id of the first axis or label, followed
+    /// by the others.
     pub id: StateId,
     /// The name, which no other state of the map has.
     pub name: StateName,
-    /// What it is.
+    /// The shape of its observations.
     pub shape: StateShape,
-    /// The names of the states of its labels, as [`StateName::label`] gives them; only of a categorical state.
+    /// The names of the states of its labels, as [`StateName::label`] returns them; only for a categorical state.
     pub labels: Vec<StateName>,
-    /// The sensor that reads it, where it is known; only of a shape that may have one.
+    /// The sensor that reads the state, where it is known; only for a shape that may have one.
     pub sensor: Option<StateSensor>,
-    /// How its rows come about; only what its shape allows.
+    /// How the rows of the state are reported; only a form that its shape allows.
     pub reporting: Reporting,
 }
 
 impl NewState {
-    /// A state that reports samples, of a sensor about which nothing is known.
+    /// A state that reports samples of an unknown sensor.
     pub fn sampled(id: StateId, name: StateName, shape: impl Into<StateShape>) -> NewState {
         NewState { id, name, shape: shape.into(), labels: Vec::new(), sensor: None, reporting: Reporting::Samples }
     }
 
-    /// A categorical state; `None` for too few labels, too many, or labels that are not of the name.
+    /// A categorical state; `None` for too few labels, too many, or labels that do not belong to the name.
     #[must_use]
     pub fn categorical(id: StateId, name: StateName, labels: Vec<StateName>) -> Option<NewState> {
         let shape = StateShape::Categorical(u8::try_from(labels.len()).ok()?);
@@ -156,7 +158,7 @@ impl NewState {
         is_sound.then(|| NewState { labels, ..NewState::sampled(id, name, shape) })
     }
 
-    /// The states that it adds to a map: the state itself, one continuous state per axis, or a probability per label.
+    /// The states that this adds to a map: the state itself, one continuous state per axis, or a probability per label.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
         let (count, kind) = (self.shape.states(), self.shape.kind());
         (0..count).map(move |axis| {
@@ -172,21 +174,23 @@ impl NewState {
     }
 }
 
-/// What observations of a name are: values of a kind, positions, angles, or labels.
+/// The shape of the observations of a name: values of a kind, positions, angles, or labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StateShape {
-    /// Values.
+    /// Each observation is a value.
     Scalar(StateKind),
-    /// Positions. For the map, each axis is a state of continuous values ([`StateName::axis`]).
+    /// Each observation is a position. The map keeps each axis as a state of continuous values ([`StateName::axis`]).
     Vector(Dimensions),
-    /// Angles in radians. For the map, cosine and sine are states of continuous values ([`StateName::angle_axis`]).
+    /// Each observation is an angle in radians. The map keeps cosine and sine as states of continuous values
+    /// ([`StateName::angle_axis`]).
     Angle,
-    /// One of so many labels, or a share of each. For the map, each label is a probability ([`StateName::label`]).
+    /// Each observation is one of this many labels, or a share of each. The map keeps each label as a probability
+    /// ([`StateName::label`]).
     Categorical(u8),
 }
 
 impl StateShape {
-    /// As people write it.
+    /// The name of the shape as people write it.
     pub fn name(self) -> &'static str {
         match self {
             StateShape::Scalar(kind) => kind.name(),
@@ -197,7 +201,7 @@ impl StateShape {
         }
     }
 
-    /// As people write it, with its article.
+    /// The name of the shape as people write it, with its article.
     #[must_use]
     pub fn with_article(self) -> String {
         match self {
@@ -240,13 +244,13 @@ impl StateShape {
         !matches!(self, StateShape::Vector(_) | StateShape::Categorical(_))
     }
 
-    /// Whether a sensor of its readings may be stated: they are 0 and 1.
+    /// Whether a user may state a sensor for its readings: they are 0 and 1.
     #[must_use]
     pub fn may_have_sensor(self) -> bool {
         self == StateShape::Scalar(StateKind::Probability)
     }
 
-    /// Whether its rows may come about like this: positions, angles and labels are sampled, and only counts have
+    /// Whether its rows may be reported in this form: positions, angles and labels are sampled, and only counts have
     /// events.
     #[must_use]
     pub fn may_report(self, reporting: Reporting) -> bool {
@@ -267,7 +271,7 @@ impl StateShape {
         }
     }
 
-    /// What [`StateShape::allows`], in words, for a message that ends "… is not".
+    /// The values that [`StateShape::allows`], in words, for a message that ends "… is not".
     #[must_use]
     pub fn expected(self) -> &'static str {
         match self {
@@ -277,8 +281,8 @@ impl StateShape {
         }
     }
 
-    /// Names of the axes of which a name with this shape consists, in order of their ids; none of a single state, and
-    /// of a categorical one, which has labels of its own.
+    /// Names of the axes that make up a name with this shape, in order of their ids. None for a single state, and none
+    /// for a categorical one, which has labels of its own.
     #[must_use]
     pub fn axes(self) -> &'static [&'static str] {
         match self {
@@ -315,19 +319,19 @@ pub enum UpdateCause {
     PendingLimit,
 }
 
-/// The start of an update. Its log position fixes which observations it takes: those at earlier positions.
+/// The start of an update. Its log position determines which observations the update takes: those at earlier positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UpdateStart {
     /// Number of the generation that the update publishes; 1 for the first.
     pub generation: u64,
     /// Observations before this instant are learned; later ones stay pending. Never decreases.
     pub cut_nanos: i64,
-    /// What started it.
+    /// The cause of the update.
     pub cause: UpdateCause,
 }
 
-/// What a generation holds, as one number: two maps that have applied one log up to the start of an update have equal
-/// digests if their bits are equal. The upper half stands for all but the grid, the lower half for the grid.
+/// A digest of a generation's data: two maps that have applied one log up to the start of an update have equal digests
+/// if their bits are equal. The upper half is the digest of all but the grid, the lower half that of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Digest(pub u64);
 
@@ -337,8 +341,8 @@ impl fmt::Display for Digest {
     }
 }
 
-/// A daemon becomes the writer of a log that daemons share. Everything after it in the log is of this writer, up to the
-/// next epoch.
+/// A daemon becomes the writer of a log that daemons share. Everything after this event in the log is from this writer,
+/// up to the next epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Epoch {
     /// Counts the writers of the log, from 1.
@@ -347,16 +351,16 @@ pub struct Epoch {
     pub writer: String,
     /// Version of the daemon.
     pub version: String,
-    /// Number of the maths of its updates: updates of one number make equal bits.
+    /// Number of the maths of the writer's updates: updates with one number make equal bits.
     pub maths: u32,
 }
 
 /// The writer of a shared log has ended an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UpdateDone {
-    /// The generation that it published.
+    /// The generation that the update published.
     pub generation: u64,
-    /// Checksum of what the update made.
+    /// Checksum of the result of the update.
     pub digest: Digest,
     /// Number of the maths of the update.
     pub maths: u32,
@@ -379,7 +383,7 @@ pub enum Event {
     Epoch(Epoch),
     /// The writer has ended an update; changes nothing else, because every replica runs the update itself.
     UpdateDone(UpdateDone),
-    /// Producers that will not come back give their places up. What they sent keeps its numbers.
+    /// Producers that will not come back give their places up. The numbers of their observations stay.
     ForgetProducers(Vec<ProducerId>),
 }
 

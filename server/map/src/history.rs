@@ -1,9 +1,9 @@
-//! The exact observations that one update learned, kept for reading them later.
+//! The exact observations that one update learned, kept for later reading.
 //!
 //! A cell's readings are kept as the outlier set of the paper (T-RO 2017, section III.B): where a small model of the
-//! day predicts when the cell is occupied, only the times at which it was wrong are kept, as differences.
+//! day predicts when the cell is occupied, only the times of wrong predictions are kept, as differences.
 //!
-//! Invariant: readings come back to the last bit, whatever model they were kept against.
+//! Invariant: readings are recovered to the last bit, whatever model they were kept against.
 
 use tidemap_grid::{day::GridDay, index::TileId};
 use tidemap_model::Sample;
@@ -27,7 +27,7 @@ mod tests;
 pub use recall::cell_readings;
 pub(crate) use recall::day_readings;
 
-/// What was observed: nanoseconds UTC, and value.
+/// A reading: time in nanoseconds UTC, and value.
 pub type Reading = (i64, f64);
 
 /// A source of readings.
@@ -35,7 +35,7 @@ pub type Reading = (i64, f64);
 pub enum Subject {
     /// A named state.
     State(StateId),
-    /// A cell: its tile, and its place there.
+    /// A cell: its tile, and its place in the tile.
     Cell(TileId, u16),
 }
 
@@ -50,7 +50,7 @@ pub struct HistoryPiece {
     pub to_nanos: i64,
     /// Observations of named states, by state, in order of arrival.
     pub states: Vec<(StateId, Vec<Sample>)>,
-    /// Of each entry of `states`, who observed it; as many as `states`.
+    /// The producers of the observations of each entry of `states`; as many entries as `states`.
     pub origins: Vec<Origins>,
     /// Scans of the grid by day.
     pub days: Vec<HistoryDay>,
@@ -59,7 +59,7 @@ pub struct HistoryPiece {
 /// The scans of one day, with occupied bits replaced by outliers for the cells that have a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryDay {
-    /// The scans. For a modelled cell, the occupied bit says at observed scans whether the model is wrong.
+    /// The scans. For a modelled cell, the occupied bit of a scan that observed it means that the model is wrong there.
     pub outliers: GridDay,
     /// The cells that have a model: tile and models ascending.
     pub models: Vec<(TileId, Vec<OutlierModel>)>,
@@ -84,7 +84,7 @@ pub struct OutlierComponent {
     pub periodicity: u16,
     /// Real part of γ.
     pub gamma_re: f32,
-    /// Imaginary part of γ.
+    /// The imaginary part of γ.
     pub gamma_im: f32,
 }
 

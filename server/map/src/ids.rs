@@ -1,6 +1,6 @@
-//! Identifiers within a map, and why an observation was refused.
+//! Identifiers within a map, and the reasons why an observation is refused.
 //!
-//! Invariant: ids are dense from 0, given in the order of the log, and never reused.
+//! Invariant: ids are dense from 0, assigned in log order, and never reused.
 
 use tidemap_grid::sensors::ProducerSensor;
 
@@ -14,12 +14,12 @@ pub struct StateId(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ProducerId(pub u32);
 
-/// Why an observation was refused.
+/// The reason why an observation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RefusalReason {
-    /// Not a number, infinite, or not one of the state's kind.
+    /// The value is not a number, infinite, or not allowed for the state's kind.
     Value,
-    /// Before 1970, or beyond what i64 nanoseconds hold.
+    /// The time is before 1970, or beyond the range of i64 nanoseconds.
     Time,
     /// The state's name is not valid.
     StateName,
@@ -27,7 +27,7 @@ pub enum RefusalReason {
     StateIndex,
     /// The map or the stream may not have more states.
     StateLimit,
-    /// The state is of another kind than the stream said.
+    /// The state is of another kind than the stream stated.
     StateKind,
     /// The map has no grid.
     NoGrid,
@@ -52,7 +52,7 @@ pub struct NewProducer {
     pub key: ProducerKey,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
-    /// The client that introduces it, as shares count clients; empty: one without a share.
+    /// The client that introduces the producer, for the shares per client; empty: a client without a share.
     pub introduced_by: String,
 }
 

@@ -1,11 +1,11 @@
 //! Prediction intervals: the band in which the mean over the hour around a moment lies with a given probability.
 //!
 //! Where a state of probabilities has an ensemble, its predictive distribution gives the band and the probability that
-//! it holds. Where a state of other values has one, its errors so far ahead give the band; elsewhere the spread of
-//! single hours does. These bands are said to hold their level.
+//! the band contains the mean. Where a state of other values has an ensemble, its errors at the lead time give the
+//! band; elsewhere the spread of single hours gives it. These bands are stated to have their level.
 //!
-//! Invariant: a band holds its prediction and lies in the bounds of the state's kind. The band of a probability that
-//! was never observed is [0, 1]; a state of another kind has none then.
+//! Invariant: a band contains its prediction and lies in the bounds of the state's kind. The band of a probability that
+//! was never observed is [0, 1]; a state of another kind has no band then.
 
 use tidemap_grid::view::CellDescription;
 use tidemap_model::{
@@ -19,13 +19,13 @@ const HOUR_SECS: f64 = 3600.0;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 /// 1970-01-01 was a Thursday; weeks begin on Monday.
 const EPOCH_HOUR_OF_WEEK: i64 = 3 * 24;
-/// Of a state that was never observed.
+/// The band of a state that was never observed.
 const NEVER: HeldInterval = HeldInterval { interval: Interval { lower: 0.0, upper: 1.0 }, mass: 1.0 };
 
-/// How much single hours of a state differ, ready for many predictions.
+/// How much single hours of a state differ, prepared for many predictions.
 #[derive(Clone, Debug)]
 pub struct Spreads {
-    /// By hour of the day, first of weekdays, then of weekends.
+    /// The spread by hour of the day, first of weekdays, then of weekends.
     hours: Vec<HourMoments>,
     all: HourMoments,
 }
@@ -44,8 +44,8 @@ impl Spreads {
         credible_interval(p, self.hour(at), self.all, level)
     }
 
-    /// The band of a prediction, as [`Spreads::interval`], for continuous and count states. `readings`: the variance of
-    /// single readings.
+    /// The band of a prediction for continuous and count states, in the same way as [`Spreads::interval`]. `readings`:
+    /// the variance of single readings.
     pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
         value_interval(kind, p, self.hour(at), readings, level)
     }
@@ -123,7 +123,8 @@ pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Opti
     probabilities.iter().map(interval).collect()
 }
 
-/// About how many hours of the day were observed, and on how many days: never more than the cell's observations.
+/// The approximate number of times that an hour of the day was observed, which is the number of days from the first
+/// observation to the last: never more than the cell's observations.
 fn observed_hours(cell: &CellDescription) -> Option<f64> {
     let first_nanos = cell.first_nanos?;
     let last_nanos = cell.persistence.last().map_or(first_nanos, |(nanos, _)| nanos);
@@ -141,7 +142,8 @@ mod tests {
 
     #[test]
     fn bands_widen_where_little_was_observed_and_hold_the_prediction() {
-        // From a Thursday, every ten minutes on six weeks: open from 9 to 12, on every third day the whole of it.
+        // The record is from a Thursday, every ten minutes for six weeks: open from 10 to 11, and on every third day
+        // from 9 to 12.
         let sample = |slot: i64| {
             let (day, hour) = (slot / 144, slot % 144 / 6);
             let value = if (9..12).contains(&hour) && (hour == 10 || day % 3 == 0) { 1.0 } else { 0.0 };
@@ -159,10 +161,11 @@ mod tests {
             assert!(wide.contains(p) && narrow.contains(p), "{wide:?} {narrow:?}");
             assert!(narrow.width() <= wide.width() + 1e-9, "{wide:?} {narrow:?}");
         }
-        // An hour that is one thing or the other from day to day is less sure than one that is always the same.
+        // The value of an hour that is 0 or 1 from day to day is less sure than that of an hour that is always the
+        // same.
         let (unsure, sure) = (many.interval(0.4, at(50, 9), 0.9), many.interval(0.01, at(50, 3), 0.9));
         assert!(unsure.width() > 0.5 && sure.width() < 0.1, "{unsure:?} {sure:?}");
-        // Saturday and Sunday were seen in a shorter record alone.
+        // Saturday and Sunday were observed only in a shorter record.
         assert_eq!(table(2).interval(0.3, at(2, 9), 0.9), NEVER.interval);
     }
 

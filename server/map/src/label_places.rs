@@ -1,8 +1,8 @@
-//! Where the labels of a categorical state hold: the spatial prior of a classification.
+//! Learns where the labels of a categorical state hold: the spatial prior of a classification.
 //!
 //! The labels at a place are learned in a categorical state of their own, called `STATE@PLACE`, which has the labels of
-//! the state. So they are as durable as any observation, fade with the half-life of the map, and are erased alike; how
-//! often each label was observed at a place is the sum of what its state has learned.
+//! the state. So they are as durable as any observation, fade with the half-life of the map, and are erased in the same
+//! way. The number of observations of each label at a place is the sum that its state has learned.
 //!
 //! Invariant: only states with the same labels in the same order count.
 
@@ -13,7 +13,7 @@ use crate::{
     view::MapView,
 };
 
-/// The name of the state of the labels of a state at a place.
+/// The name of the state that learns the labels of a state at a place.
 ///
 /// # Errors
 /// [`InvalidName`], with what is wrong.
@@ -23,8 +23,8 @@ pub fn name_at_place(state: &StateName, place: &str) -> Result<StateName, Invali
 }
 
 impl MapView {
-    /// For each label of a categorical state, the probability of being at a place while it holds, by what was learned
-    /// at all places of the state. `None`: nothing was learned at this place.
+    /// For each label of a categorical state, the probability of being at a place while the label holds, from the
+    /// learned data at all places of the state. `None`: nothing was learned at this place.
     pub fn label_prior_at(&self, state: &StateName, place: &str) -> Option<Vec<f64>> {
         let labels = self.labels(state.as_str());
         let names: Vec<&str> = labels.iter().map(|(_, label)| *label).collect();

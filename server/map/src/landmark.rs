@@ -1,4 +1,4 @@
-//! Landmarks: the table of those of a map, and binary descriptors of image features with their places in the image.
+//! Landmarks: the table of a map's landmarks, and binary descriptors of image features with their places in the image.
 //!
 //! Invariant: a descriptor has 1 to 64 bytes; descriptors of different lengths are never compared.
 
@@ -22,12 +22,12 @@ pub const PROFILE_BYTES_MAX: usize = 64 << 10;
 pub const PROFILES_BYTES_MAX: usize = 256 << 20;
 /// Maximum number of characters of the name of a kind of descriptors.
 pub const DESCRIPTOR_KIND_CHARS_MAX: usize = 128;
-/// Farthest that an image position may be from the corner of the image, pixels.
+/// Maximum distance of an image position from the corner of the image, pixels.
 pub(crate) const PIXEL_MAX: f64 = 1e6;
-/// Numbers of the covariance of a position in an image: uu, uv, vv, pixels².
+/// Number of values in the covariance of a position in an image: uu, uv, vv, pixels².
 pub const IMAGE_COVARIANCE: usize = 3;
-/// Numbers of the covariance of a pose: the upper triangle of the 6×6 matrix of x, y, z (m) and the turns about them
-/// (rad), by rows.
+/// Number of values in the covariance of a pose: the upper triangle of the 6×6 matrix of x, y, z (m) and the turns
+/// about them (rad), by rows.
 pub const POSE_COVARIANCE: usize = 21;
 
 /// Maximum number of bytes of a descriptor.
@@ -43,10 +43,10 @@ pub struct Descriptor {
     length: u8,
 }
 
-/// Why something is no descriptor.
+/// The reason why something is no descriptor.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DescriptorError {
-    /// It has another number of bytes.
+    /// The descriptor has another number of bytes.
     #[error("a descriptor of {found} bytes: it must have 1 to {DESCRIPTOR_BYTES_MAX}")]
     Length {
         /// Number of bytes.
@@ -87,7 +87,8 @@ impl Descriptor {
         self.length.into()
     }
 
-    /// Its words, padded with zeros: the distance of two descriptors is the number of bits in which these differ.
+    /// The words of the descriptor, padded with zeros: the distance of two descriptors is the number of bits in which
+    /// these differ.
     #[must_use]
     pub fn words(&self) -> &[u64] {
         self.words.get(..self.len().div_ceil(8)).unwrap_or(&self.words)
@@ -120,13 +121,13 @@ impl fmt::Debug for Descriptor {
     }
 }
 
-/// An image feature: where it is in an image, and what it looks like.
+/// An image feature: its position in an image, and its appearance as a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageFeature {
     /// Pixels to the right.
     pub u_px: f64,
     /// Pixels down.
     pub v_px: f64,
-    /// What it looks like.
+    /// The appearance of the feature.
     pub descriptor: Descriptor,
 }

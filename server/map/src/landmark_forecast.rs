@@ -1,6 +1,6 @@
-//! When landmarks are visible: what the states of the landmarks of a place predict.
+//! Predicts when landmarks are visible, from the states of the landmarks of a place.
 //!
-//! Invariant: everything comes from one view. A landmark without observations has the prior of a probability.
+//! Invariant: all data comes from one view. A landmark without observations has the prior of a probability.
 
 use tidemap_model::{StateKind, selector::ModelSelector};
 
@@ -20,16 +20,16 @@ pub struct PredictedLandmark<'a> {
     pub landmark: &'a Landmark,
     /// Probability that it is visible, in [0, 1].
     pub probability: f64,
-    /// Share of the sightings that the last update has learned in which it was seen; the prior without any.
+    /// Share of the sightings learned by the last update in which the landmark was seen; the prior without any.
     pub mean: f64,
     /// Number of sightings of its place in which it was in view.
     pub sightings: u64,
-    /// Those of them that the last update has learned, of which `mean` is.
+    /// Number of these sightings that the last update has learned; `mean` is over them.
     pub learned: u64,
 }
 
 impl MapView {
-    /// The landmarks of a place; none where nothing was added.
+    /// The landmarks of a place; `None` where none were added.
     ///
     /// # Errors
     /// [`TopologyError::UnknownNode`], [`TopologyError::UnknownEdge`].

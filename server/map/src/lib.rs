@@ -1,5 +1,5 @@
-//! Space: the many states of one map. What a map is, how observations reach its states, what an update does to them,
-//! and the immutable view that queries read.
+//! Space: the many states of one map. Contains the definition of a map, the way of observations to its states, the
+//! update of the states, and the immutable view that queries read.
 //!
 //! Invariant: no I/O, no clock, no hidden randomness. Every change of a map is an [`event::Event`]; applying the same
 //! events in the same order gives the same map, whether they arrive live or are replayed from a log.

@@ -1,4 +1,4 @@
-//! A map as its single writer holds it: events go in, views come out.
+//! A map as its single writer holds it: it applies events and publishes views.
 //!
 //! Invariant: the state is a function of the events applied and their order. Nothing here waits: an update leaves as
 //! [`UpdateWork`], runs elsewhere while observations continue, and returns through [`LiveMap::finish_update`]. At most
@@ -32,8 +32,8 @@ mod updates;
 #[cfg(test)]
 mod tests;
 
-/// Maximum number of readings that the rows of all states of a map stand for in a day: those of 100,000 states that are
-/// read off every five minutes. An update learns at least one local day.
+/// Maximum number of readings that the rows of all states of a map represent in a day: the readings of 100,000 states
+/// with one reading every five minutes. An update learns at least one local day.
 pub const ROW_READINGS_A_DAY_MAX: u64 = 28_800_000;
 
 /// An event is inconsistent with the events before it: this map did not write the log.
@@ -42,7 +42,7 @@ pub const ROW_READINGS_A_DAY_MAX: u64 = 28_800_000;
 pub struct InconsistentEvent {
     /// Log position of the event.
     pub position: u64,
-    /// What does not fit.
+    /// The inconsistency.
     pub reason: String,
 }
 
@@ -66,7 +66,7 @@ pub struct LiveMap {
     observations: u64,
     producers: Vec<ProducerMark>,
     producer_ids: HashMap<ProducerKey, ProducerId>,
-    /// How many producers have given their places up.
+    /// Number of producers that have given their places up.
     forgotten: usize,
     directory: Directory,
     live: Vec<LiveState>,
@@ -74,14 +74,15 @@ pub struct LiveMap {
     live_dirty: Vec<bool>,
     /// The states that report changes or events, ascending.
     with_rows: Vec<StateId>,
-    /// Readings that their rows stand for in a day, at most.
+    /// Maximum number of readings that the rows of these states represent in a day.
     row_readings_a_day: u64,
     models: Arc<Vec<Arc<StateModel>>>,
     /// Rows that updates have taken and not learned yet.
     waiting_rows: u64,
     prior_models: PriorModels,
     pending: Pending,
-    /// While a snapshot's pending observations are read again: how many of each state's have been read.
+    /// While a snapshot's pending observations are read again: the number of observations of each state that have been
+    /// read.
     recovered: HashMap<StateId, u64>,
     site: Arc<Site>,
     pub(crate) grid: Option<LiveGrid>,
@@ -179,12 +180,12 @@ impl LiveMap {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the id of its state or of its first axis.
+    /// The shape of the observations of a name, with the id of its state or of its first axis.
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
     }
 
-    /// The producer of this key, if it ever sent anything.
+    /// The producer of this key, if it has ever sent anything.
     pub fn producer(&self, key: &ProducerKey) -> Option<(ProducerId, &ProducerMark)> {
         let id = *self.producer_ids.get(key)?;
         self.producers.get(id.0 as usize).map(|mark| (id, mark))
@@ -195,12 +196,12 @@ impl LiveMap {
         &self.producers
     }
 
-    /// How many producer keys have a place: those that were not forgotten, or have sent again since.
+    /// Number of producer keys with a place: keys that were not forgotten, or have sent again since.
     pub fn producer_places(&self) -> usize {
         self.producers.len() - self.forgotten
     }
 
-    /// How many producer keys are forgotten.
+    /// Number of forgotten producer keys.
     pub fn forgotten_producers(&self) -> usize {
         self.forgotten
     }
@@ -215,12 +216,12 @@ impl LiveMap {
         self.directory.info(id).and_then(|info| info.sensor)
     }
 
-    /// How the rows of a state come about.
+    /// How the rows of a state are reported.
     pub fn reporting(&self, id: StateId) -> Reporting {
         self.directory.info(id).map_or(Reporting::Samples, |info| info.reporting)
     }
 
-    /// Number of readings that the rows of all states that report changes or events stand for in a day, at most.
+    /// Maximum number of readings that the rows of all states that report changes or events represent in a day.
     pub fn row_readings_a_day(&self) -> u64 {
         self.row_readings_a_day
     }
@@ -230,7 +231,7 @@ impl LiveMap {
         self.directory.info(id).map(|info| info.kind)
     }
 
-    /// The site: what people and robots tell the map besides observations.
+    /// The site: the data that people and robots give the map besides observations.
     pub fn site(&self) -> &Site {
         &self.site
     }
@@ -240,8 +241,8 @@ impl LiveMap {
         self.grid.as_ref()
     }
 
-    /// Pending data that an update could learn, without that of a running update: observations, and changes of scans,
-    /// which are what memory holds.
+    /// Number of pending items that an update could learn, without those of a running update: observations, and changes
+    /// of scans, which are what memory holds.
     pub fn pending(&self) -> u64 {
         self.pending.total() + self.grid.as_ref().map_or(0, LiveGrid::pending_changes)
     }
@@ -251,8 +252,8 @@ impl LiveMap {
         self.pending.future() + self.grid.as_ref().map_or(0, LiveGrid::future)
     }
 
-    /// Rows of changes and events that updates have taken and not learned yet, because they stand for more readings
-    /// than one update may learn. The next update learns more of them.
+    /// Number of rows of changes and events that updates have taken and not learned yet, because they represent more
+    /// readings than one update may learn. The next update learns more of them.
     pub fn waiting_rows(&self) -> u64 {
         self.waiting_rows
     }
@@ -278,13 +279,14 @@ impl LiveMap {
         share(observations, limits.observations).max(share(changes, limits.changes))
     }
 
-    /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
+    /// The earliest time of the pending observations, or an earlier time, nanoseconds UTC.
     pub fn pending_since_nanos(&self) -> Option<i64> {
         let scans = self.grid.as_ref().and_then(LiveGrid::oldest_pending_nanos);
         [self.pending.oldest_nanos(), scans].into_iter().flatten().min()
     }
 
-    /// When the first of the pending observations was received, or earlier; nanoseconds UTC of the server's clock.
+    /// The time at which the first of the pending observations was received, or an earlier time; nanoseconds UTC of the
+    /// server's clock.
     pub fn pending_received_nanos(&self) -> Option<i64> {
         self.pending.received_nanos()
     }
@@ -299,7 +301,7 @@ impl LiveMap {
         self.cut_nanos
     }
 
-    /// Whether an update is running.
+    /// Whether an update is running at present.
     pub fn is_updating(&self) -> bool {
         self.running.is_some()
     }
@@ -372,7 +374,7 @@ impl LiveMap {
         Ok(())
     }
 
-    /// The last of the observations that were read again is the last that the snapshot counts.
+    /// Assigns numbers: the last of the observations that were read again is the last that the snapshot counts.
     fn number_recovered(&mut self) {
         let mut recovered = std::mem::take(&mut self.recovered);
         for (state, number) in &mut recovered {
@@ -384,7 +386,7 @@ impl LiveMap {
         }
     }
 
-    /// The view for readers from now on.
+    /// Publishes the view for readers from now on.
     pub fn publish(&mut self) -> MapView {
         for (index, dirty) in self.live_dirty.iter_mut().enumerate() {
             if !std::mem::take(dirty) {

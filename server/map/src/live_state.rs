@@ -1,32 +1,34 @@
-//! What every acknowledged observation changes at once, before any update: the last value of a state, and for a state
-//! that reports changes or events what its newest row says now.
+//! The data that every acknowledged observation changes at once, before any update: the last value of a state and, for
+//! a state that reports changes or events, the current value that follows from its newest row.
 //!
-//! Invariant: a state of samples has no newest row. What is said depends on the observations and their order of
-//! arrival, and on the time up to which rows are asked to hold.
+//! Invariant: a state of samples has no newest row. The result depends only on the observations, their order of
+//! arrival, and the time up to which rows hold.
 
 use tidemap_model::{Hold, Persistence, Recent, Reporting, Sample};
 
 use crate::ids::ProducerId;
 
-/// A row that arrives this long after its time, nanoseconds, still tells of now: its sensor is connected.
+/// A row that arrives at most this long after its time, in nanoseconds, is still valid for now: its sensor is
+/// connected.
 const LIVE_NANOS: i64 = 3_600_000_000_000;
 
 /// The newest row of a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NewestRow {
-    /// Its time, nanoseconds UTC.
+    /// Time of the row, nanoseconds UTC.
     pub nanos: i64,
-    /// Whether it has a value; else none is known from then on.
+    /// Whether the row has a value; if not, no value is known from its time on.
     pub has_value: bool,
-    /// Whether it arrived when it was made, not with a recording: then nothing newer means that nothing changed.
+    /// Whether the row arrived when it was made, not with a recording: in that case the absence of a newer row means
+    /// that nothing changed.
     pub is_live: bool,
-    /// Who sent it.
+    /// The producer that sent the row.
     pub producer: ProducerId,
-    /// Of events: how many there were in its step.
+    /// For events: the number of events in the row's step.
     pub events: f64,
 }
 
-/// What every acknowledged observation changes at once.
+/// The data that every acknowledged observation changes at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LiveState {
     /// Observations acknowledged.
@@ -47,14 +49,14 @@ impl LiveState {
         self.newest_row.map(|newest| newest.nanos).or(last)
     }
 
-    /// Takes in an observation whose time has come.
+    /// Applies an observation whose time has come.
     pub(crate) fn observe(&mut self, sample: &Sample) {
         self.persistence.observe(sample.utc_nanos, sample.value);
         self.recent.observe(sample.utc_nanos, sample.value);
     }
 }
 
-/// How a row arrives.
+/// The producer of a row and the time of its receipt.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Delivery {
     pub(crate) producer: ProducerId,
@@ -62,7 +64,7 @@ pub(crate) struct Delivery {
 }
 
 impl LiveState {
-    /// Takes in a row whose time has come.
+    /// Applies a row whose time has come.
     pub(crate) fn observe_row(&mut self, reporting: Reporting, sample: &Sample, arrival: Delivery) {
         let Some(hold) = reporting.hold() else { return self.observe(sample) };
         if self.newest_row.is_some_and(|newest| newest.nanos > sample.utc_nanos) {
@@ -97,8 +99,8 @@ impl LiveState {
         });
     }
 
-    /// The state as its newest row says it is at a time. `now_nanos`: nothing newer is known at that time;
-    /// `data_nanos`: the latest time of all data of the map, which is what is known of a recording.
+    /// The state at a time, as it follows from its newest row. `now_nanos`: no newer row is known at that time;
+    /// `data_nanos`: the latest time of all data of the map, which is used for a recording.
     pub(crate) fn at(mut self, reporting: Reporting, now_nanos: Option<i64>, data_nanos: i64) -> LiveState {
         let (Some(hold), Some(newest)) = (reporting.hold(), self.newest_row) else { return self };
         let until = now_nanos.filter(|_| newest.is_live).unwrap_or(data_nanos);
@@ -109,7 +111,7 @@ impl LiveState {
         self
     }
 
-    /// The value of the newest row holds up to a time, if it may.
+    /// Extends the value of the newest row up to a time, if the row allows it.
     fn hold_to(&mut self, hold: Hold, until_nanos: i64) {
         let (Some(newest), Some((_, value))) = (self.newest_row, self.persistence.last()) else { return };
         let until = until_nanos.min(newest.nanos.saturating_add(hold.max_nanos()));
@@ -119,7 +121,7 @@ impl LiveState {
         }
     }
 
-    /// The steps before one have ended.
+    /// Counts the steps before this one as ended.
     fn count_to(&mut self, hold: Hold, step: i64) {
         let Some(newest) = self.newest_row else { return };
         let of_newest = step_of(hold, newest.nanos);
@@ -133,7 +135,7 @@ impl LiveState {
         if newest.has_value || newest.events > 0.0 {
             ended(of_newest, newest.events);
         }
-        // The last step that ended without an event.
+        // The last step that has ended without an event.
         let last =
             step.saturating_sub(hold.step_nanos()).min(step_of(hold, newest.nanos.saturating_add(hold.max_nanos())));
         if newest.has_value && last > of_newest {
@@ -142,7 +144,7 @@ impl LiveState {
     }
 }
 
-/// The beginning of the step that a time is in.
+/// The beginning of the step that contains a time.
 fn step_of(hold: Hold, nanos: i64) -> i64 {
     nanos - nanos.rem_euclid(hold.step_nanos())
 }

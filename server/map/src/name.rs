@@ -1,6 +1,7 @@
 //! Names of maps, states and producers.
 //!
-//! Invariant: a value of these types is valid; the constructors are the only way in. A name is never used as a path.
+//! Invariant: a value of these types is valid; the constructors are the only way to make one. A name is never used as a
+//! path.
 
 use std::{borrow::Cow, fmt, sync::Arc};
 
@@ -21,7 +22,7 @@ pub const NAME_CHARS_MAX: usize = 128;
 /// Maximum number of characters of a map's name.
 pub(crate) const MAP_NAME_CHARS_MAX: usize = 63;
 
-/// Why a name is not accepted. The payload is the name, shortened; messages quote and escape it.
+/// The reason why a name is not accepted. The payload is the name, shortened; messages quote and escape it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidName {
     /// A map's name has characters that are not allowed, or is empty or too long.
@@ -30,33 +31,33 @@ pub enum InvalidName {
          or digit"
     )]
     Map(String),
-    /// Empty.
+    /// The name is empty.
     #[error("name is empty: use 1 to {NAME_CHARS_MAX} printable characters")]
     Empty,
-    /// Too long.
+    /// The name is too long.
     #[error("name {name:?} has {chars} characters: at most {NAME_CHARS_MAX} are allowed")]
     TooLong {
         /// The name, shortened.
         name: String,
-        /// Its length in characters.
+        /// The length of the name in characters.
         chars: usize,
     },
-    /// Contains a control, format or other unprintable character.
+    /// The name contains a control, format or other unprintable character.
     #[error("name {name:?} holds the unprintable character U+{code:04X}")]
     Unprintable {
         /// The name, shortened.
         name: String,
-        /// The code point.
+        /// The code point of the character.
         code: u32,
     },
-    /// Not in Unicode normalisation form C, so that two names could look the same.
+    /// The name is not in Unicode normalisation form C, so that two different names could appear identical.
     #[error("name {0:?} is not in Unicode normalisation form C (NFC)")]
     NotNfc(String),
-    /// Contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
+    /// The name contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
-    /// Not allowed for a vector, an angle or a categorical state: its parts would have names like those of a cell, an
-    /// edge, a node or a landmark.
+    /// The name is not allowed for a vector, an angle or a categorical state: the names of its parts would be like
+    /// those of a cell, an edge, a node or a landmark.
     #[error(
         "name {0:?} is not for a vector or an angle, nor for a categorical state: {0}/x is how cells, edges, \
          nodes and landmarks are called"
@@ -83,7 +84,7 @@ pub(crate) fn unprintable(character: char) -> bool {
             | 0xF0000..=0x10FFFF)
 }
 
-/// A text as a terminal may show it: unprintable characters are escaped, an ESC as `\u{1b}`.
+/// A text in a form that a terminal may show: unprintable characters are escaped, an ESC as `\u{1b}`.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.chars().any(unprintable) {
@@ -104,7 +105,7 @@ fn check(name: &str) -> Result<(), InvalidName> {
     if name.is_empty() {
         return Err(InvalidName::Empty);
     }
-    // A cheap bound first: a name of 64 KiB is refused before its characters are counted.
+    // A cheap bound comes first: a name of 64 KiB is refused before its characters are counted.
     let chars = if name.len() > 4 * NAME_CHARS_MAX { name.len() / 4 } else { name.chars().count() };
     if chars > NAME_CHARS_MAX {
         return Err(InvalidName::TooLong { name: shown(name), chars: name.chars().count() });
@@ -148,13 +149,13 @@ impl fmt::Display for MapName {
     }
 }
 
-/// First parts of names that a vector, an angle or a categorical state may not have.
+/// First parts that the name of a vector, an angle or a categorical state may not have.
 const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
 
 /// `NAME/x` as name and number of the axis.
 fn split_axis(name: &str) -> Option<(&str, usize)> {
     let (vector, axis) = name.rsplit_once('/')?;
-    // A vector has a plain name: what is called `node/N/x` is at a node.
+    // A vector has a plain name: the name `node/N/x` is a state at a node.
     Some((vector, Dimensions::axis(axis)?)).filter(|(vector, _)| !vector.contains('/'))
 }
 
@@ -165,7 +166,7 @@ fn split_angle_axis(name: &str) -> Option<(&str, usize)> {
     Some((angle, axis)).filter(|(angle, _)| !angle.contains('/'))
 }
 
-/// `node/N/KIND` as the node and the kind of what is there.
+/// `node/N/KIND` as the node and the kind of the object there.
 fn split_object(name: &str) -> Option<(&str, &str)> {
     name.strip_prefix("node/")?.split_once('/')
 }
@@ -175,10 +176,11 @@ pub(crate) fn asked_for(name: &str) -> &str {
     name.strip_prefix("node/").filter(|node| !node.contains('/')).unwrap_or(name)
 }
 
-/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
-/// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
-/// object of a kind is at node N; or the name of a state of an edge or a task, [`EdgeName::state`] and
-/// [`TaskName::state`]; or of a landmark, [`PlaceName::landmark`]; or of a label, [`StateName::label`].
+/// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. It can also be the name of an
+/// axis of a vector, which is such a name with `/x`, `/y` or `/z`, or of an axis of an angle, with `/cos` or `/sin`; or
+/// `node/N/KIND`, for whether an object of a kind is at node N; or the name of a state of an edge or a task,
+/// [`EdgeName::state`] and [`TaskName::state`], of a landmark, [`PlaceName::landmark`], or of a label,
+/// [`StateName::label`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -195,8 +197,8 @@ impl StateName {
         Ok(Self(name.into()))
     }
 
-    /// As [`StateName::new`]; also accepts `node/N`, which is the plain name N, and `node/N/KIND` with plain names for
-    /// node and kind, 128 characters in all. The node need not exist: it may be added later.
+    /// Checks a name like [`StateName::new`]; also accepts `node/N`, which is the plain name N, and `node/N/KIND` with
+    /// plain names for node and kind, 128 characters in all. The node need not exist: it may be added later.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -235,9 +237,9 @@ impl StateName {
         }
     }
 
-    /// As [`StateName::observed`], or the name of an axis of a vector or an angle, as [`StateName::axis`] and
-    /// [`StateName::angle_axis`] give it, or of a state of an edge, a task or a landmark, as [`EdgeName::state`],
-    /// [`TaskName::state`] and [`PlaceName::landmark`] do.
+    /// Checks a name like [`StateName::observed`]; also accepts the names of axes of vectors and angles, as
+    /// [`StateName::axis`] and [`StateName::angle_axis`] return them, and the names of states of edges, tasks and
+    /// landmarks, as [`EdgeName::state`], [`TaskName::state`] and [`PlaceName::landmark`] return them.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -266,8 +268,9 @@ impl StateName {
         }
     }
 
-    /// The name of the state after node `from` is renamed to `to`; `None` if the state does not belong to the node. Its
-    /// own name, `node/N/KIND`, and the names of the edges at it, of tasks and of landmarks there do.
+    /// The name of the state after node `from` is renamed to `to`; `None` if the state does not belong to the node. The
+    /// node's own name, `node/N/KIND`, and the names of edges at the node, of tasks and of landmarks there belong to
+    /// it.
     ///
     /// # Errors
     /// [`InvalidName::TooLong`].
@@ -289,8 +292,8 @@ impl StateName {
         Some(check(&name).map(|()| Self(name.into())))
     }
 
-    /// Maximum number of characters for a state with this name: names of the states of edges, tasks and landmarks are
-    /// longer than others.
+    /// Maximum number of characters that a state's name of this form may have: names of the states of edges, tasks and
+    /// landmarks are longer than others.
     pub fn chars_max(name: &str) -> usize {
         match landmark::split(name) {
             Some(_) => LANDMARK_STATE_CHARS_MAX,
@@ -299,12 +302,12 @@ impl StateName {
         }
     }
 
-    /// For the name of an axis: the name of its vector, and the axis, 0 for x.
+    /// If this is the name of an axis: the name of its vector, and the axis, 0 for x.
     pub fn as_axis(&self) -> Option<(&str, usize)> {
         split_axis(&self.0)
     }
 
-    /// For the name of an axis of an angle: the name of the angle, and the axis, 0 for the cosine.
+    /// If this is the name of an axis of an angle: the name of the angle, and the axis, 0 for the cosine.
     #[must_use]
     pub fn as_angle_axis(&self) -> Option<(&str, usize)> {
         split_angle_axis(&self.0)
@@ -348,7 +351,7 @@ impl ProducerKey {
         Ok(Self { producer: producer.into(), label: label.into() })
     }
 
-    /// Who streams.
+    /// The name of the producer that streams.
     pub fn producer(&self) -> &str {
         &self.producer
     }

@@ -3,8 +3,8 @@
 //! An area is a polygon. Its border belongs to it. An edge of the topological map is closed where the straight line
 //! between its nodes touches an area; an edge at a node without a position is never closed.
 //!
-//! Invariant: an area has 3 to [`CORNERS_MAX`] corners, which are finite. A new area is a simple polygon: what its
-//! inside is would be a guess where sides cross.
+//! Invariant: an area has 3 to [`CORNERS_MAX`] corners, which are finite. A new area is a simple polygon: where sides
+//! cross, the inside of the area would be a guess.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -13,9 +13,9 @@ use crate::{
     topology::{Edge, Topology, TopologyParts},
 };
 
-/// Corners whose triangles are all smaller lie on a line, square metres.
+/// Corners lie on a line if the area of each triangle of them is smaller than this, square metres.
 const LINE_M2: f64 = 1e-6;
-/// Farthest from the map's origin that a corner may be, metres.
+/// Maximum distance of a corner from the map's origin, metres.
 const PLACE_MAX_M: f64 = 1e7;
 /// Maximum number of areas of a map.
 pub const NO_GO_MAX: usize = 1_000;
@@ -29,13 +29,13 @@ pub(crate) const CORNERS_OF_MAP_MAX: usize = 10_000;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum NoGoError {
-    /// It is no polygon.
+    /// The corners are no polygon.
     #[error("area {name:?} has {got} corners: expected 3 to {CORNERS_MAX}")]
     Corners { name: String, got: usize },
     /// A coordinate is out of range.
     #[error("a corner of area {name:?} is not a number of metres between -1e7 and 1e7")]
     Coordinate { name: String },
-    /// Two corners are one.
+    /// Two corners are at one place.
     #[error(
         "corners {one} and {other} of area {name:?} are both at ({}, {}): name each corner once, the last side leads back \
          to the first corner", .at_m[0], .at_m[1]
@@ -50,7 +50,7 @@ pub enum NoGoError {
          around the area, or make two areas of it"
     )]
     Crossing { name: String, one: usize, other: usize },
-    /// The map has too many.
+    /// The map has too many areas.
     #[error("the map has the maximum of {NO_GO_MAX} areas")]
     TooMany,
     /// The areas together have too many corners.
@@ -80,13 +80,13 @@ impl NoGoAreas {
         self.0.iter().map(|(name, corners)| (name, corners.as_slice()))
     }
 
-    /// Whether there are none.
+    /// Whether there are no areas.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Checks that an edit may be taken now.
+    /// Checks that an edit may be accepted now.
     ///
     /// # Errors
     /// [`NoGoError`], with what is wrong.
@@ -98,7 +98,7 @@ impl NoGoAreas {
         }
     }
 
-    /// What also holds for areas that are in a log.
+    /// Checks the rules that also hold for areas that are in a log.
     fn check_bounds(&self, edit: &NoGoEdit) -> Result<(), NoGoError> {
         match edit {
             NoGoEdit::Set(name, corners) => {
@@ -123,10 +123,11 @@ impl NoGoAreas {
         }
     }
 
-    /// Applies an edit that was taken once. The shape of an area is not judged again, so that no log becomes invalid.
+    /// Applies an edit that was accepted before. The shape of an area is not checked again, so that no log becomes
+    /// invalid.
     ///
     /// # Errors
-    /// As [`NoGoAreas::check`], but for the shape; nothing is changed then.
+    /// The errors of [`NoGoAreas::check`], except those for the shape; nothing is changed then.
     pub fn apply(&mut self, edit: &NoGoEdit) -> Result<(), NoGoError> {
         self.check_bounds(edit)?;
         let areas = Arc::make_mut(&mut self.0);
@@ -323,7 +324,7 @@ mod tests {
         assert_eq!(line, NoGoError::Corners { name: "hole".to_owned(), got: 2 });
         let endless = known.apply(&set(&[[0.0, 0.0], [1.0, f64::NAN], [1.0, 0.0]])).unwrap_err();
         assert_eq!(endless, NoGoError::Coordinate { name: "hole".to_owned() });
-        // What an area is has one meaning: no corner twice, an inside, and sides that do not cross.
+        // The meaning of an area is unique: no corner twice, an inside, and sides that do not cross.
         let (tie, hole) = ([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]], || "hole".to_owned());
         let closed = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]];
         let spike = [[0.0, 0.0], [2.0, 0.0], [1.0, 0.0], [1.0, 1.0]];
@@ -339,7 +340,7 @@ mod tests {
         ] {
             assert_eq!(known.check(&set(corners)).unwrap_err(), expected, "{corners:?}");
         }
-        // Corners along a side, either way around, and far from the origin are good.
+        // Corners along a side, in either direction, and far from the origin are accepted.
         for corners in [
             [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0]],
             [[2.0, 2.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]],
@@ -347,7 +348,7 @@ mod tests {
         ] {
             known.check(&set(&corners)).unwrap();
         }
-        // A log may hold what an earlier version took.
+        // A log may hold an area that an earlier version accepted.
         areas().apply(&set(&tie)).unwrap();
         let other = known.apply(&NoGoEdit::Remove(name("pit"))).unwrap_err();
         assert_eq!(other, NoGoError::Unknown("pit".to_owned()));

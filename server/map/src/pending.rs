@@ -1,8 +1,8 @@
 //! Observations that no update has learned yet, per state, in order of arrival.
 //!
-//! Invariant: an observation is pending exactly if it is durable and every update since has had a cut at or before its
+//! Invariant: an observation is pending exactly if it is durable and the cut of every update since was at or before its
 //! time. `replay_from` never exceeds the log position of a pending observation. Observations too far in the future of
-//! the clock of their receipt wait apart: they are few, and must not look like work for an update.
+//! the clock of their receipt wait separately: they are few, and must not count as work for an update.
 
 use std::{
     cmp::Reverse,
@@ -18,26 +18,27 @@ use crate::{
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// The pending observations of one UTC day, those that wait apart included.
+/// The pending observations of one UTC day, including those that wait separately.
 #[derive(Clone, Copy, Debug)]
 struct Day {
-    /// A log position at or before all of them.
+    /// A log position at or before all these observations.
     first_position: u64,
-    /// Their earliest time, nanoseconds UTC, or earlier.
+    /// The earliest time of these observations, or an earlier time, nanoseconds UTC.
     oldest_nanos: i64,
 }
 
-/// Where an observation comes from.
+/// The origin of an observation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origin {
     /// Log position of its event.
     pub position: u64,
     pub producer: ProducerId,
-    /// Its number among the observations of its state.
+    /// The number of the observation among the observations of its state.
     pub number: u64,
 }
 
-/// An observation ahead of the clock. It waits apart from the others until the cut of an update has passed it.
+/// An observation in the future of the clock. It waits separately from the others until the cut of an update has passed
+/// it.
 #[derive(Clone, Copy, Debug)]
 struct FutureObservation {
     state: StateId,
@@ -50,7 +51,7 @@ struct FutureObservation {
 #[derive(Debug, Default)]
 struct OfState {
     samples: Vec<Sample>,
-    /// Of the same observations.
+    /// The origins of the observations in `samples`.
     runs: Vec<OriginRun>,
 }
 
@@ -73,24 +74,24 @@ pub(crate) struct Pending {
     received_nanos: Option<i64>,
 }
 
-/// What an update takes.
+/// The observations that an update takes.
 #[derive(Debug)]
 pub(crate) struct Taken {
-    /// Per state, in order of arrival; last those that had waited apart.
+    /// The observations by state, in order of arrival; the observations that had waited separately come last.
     pub by_state: Vec<(StateId, Vec<Sample>)>,
-    /// Of each entry of `by_state`.
+    /// The origins of the observations of each entry of `by_state`.
     pub origins: Vec<Origins>,
-    /// Those that had waited apart, ascending by time.
+    /// The observations that had waited separately, ascending by time.
     pub were_ahead: Vec<(StateId, Sample, ProducerId)>,
 }
 
 impl Pending {
-    /// Observations that an update could learn.
+    /// Number of observations that an update could learn.
     pub(crate) fn total(&self) -> u64 {
         self.total
     }
 
-    /// Observations that wait until the clock has come near their time.
+    /// Number of observations that wait until the clock has come near their time.
     pub(crate) fn future(&self) -> u64 {
         self.future.len() as u64
     }
@@ -101,8 +102,9 @@ impl Pending {
         pending.chain(self.future.iter().filter(move |ahead| ahead.state == state).map(|ahead| &ahead.sample))
     }
 
-    /// Some of the observations that an update could learn, by state: of the states with the largest numbers of them,
-    /// at most `states_max`, ascending. `choose` takes from all observations of a state, in order of arrival.
+    /// Some of the observations that an update could learn, by state: the states with the largest numbers of such
+    /// observations, at most `states_max`, ascending. `choose` takes from all observations of a state, in order of
+    /// arrival.
     pub(crate) fn extract<T>(
         &self,
         states_max: usize,
@@ -169,7 +171,7 @@ impl Pending {
         self.received_nanos = Some(self.received_nanos.map_or(received_nanos, |known| known.min(received_nanos)));
     }
 
-    /// When the first of the pending observations was received, or earlier.
+    /// The time at which the first of the pending observations was received, or an earlier time.
     pub(crate) fn received_nanos(&self) -> Option<i64> {
         self.received_nanos
     }
@@ -230,12 +232,12 @@ impl Pending {
         self.days.values().map(|day| day.first_position).min().unwrap_or(end).min(end)
     }
 
-    /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
+    /// The earliest time of the pending observations, or an earlier time, nanoseconds UTC.
     pub(crate) fn oldest_nanos(&self) -> Option<i64> {
         self.days.values().next().map(|day| day.oldest_nanos)
     }
 
-    /// The latest time before `limit_nanos` of those that wait apart.
+    /// The latest time before `limit_nanos` of the observations that wait separately.
     pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
         self.future.iter().map(|ahead| ahead.sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }

@@ -89,8 +89,8 @@ impl MapView {
     }
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
-    /// kind that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`]; so
-    /// does an ensemble of a state that has none.
+    /// kind of model that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as
+    /// [`ModelKind::Auto`], and so does an ensemble for a state that has none.
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
@@ -111,7 +111,7 @@ impl MapView {
         }
     }
 
-    /// Blends the newest readings of a state into predictions, if the model says so.
+    /// Blends the newest readings of a state into predictions, if the selector requests it.
     fn blend(&self, id: StateId, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
         if selector.blend == Blend::Belief {
             return self.believe(id, moments, out);
@@ -121,8 +121,8 @@ impl MapView {
         blend(&live.persistence, self.model(id).memory_basis(), &moments, selector.blend, out);
     }
 
-    /// The moments, those since the newest row of a state that reports changes as the last at which its value is known:
-    /// it has held all the time.
+    /// The moments at which the newest readings are blended in. For a state that reports changes, the moments since its
+    /// newest row are replaced by the last moment at which the value is known, because the value has held all the time.
     fn held_moments<'a>(&self, id: StateId, live: &LiveState, moments: &'a [Moment]) -> Cow<'a, [Moment]> {
         let Some((until, _)) = live.persistence.last() else { return Cow::Borrowed(moments) };
         let since = self.as_observed(id).newest_row.filter(|row| row.has_value).map_or(until, |row| row.nanos);
@@ -136,7 +136,7 @@ impl MapView {
         Cow::Owned(moments.iter().map(held).collect())
     }
 
-    /// Draws predictions of a state towards what its newest readings say. Before its first update they count as with
+    /// Draws predictions of a state towards its newest readings. Before the state's first update they count as with
     /// persistence, unless its sensor is known.
     pub(crate) fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
         let (live, model) = (self.live(id), self.model(id));
@@ -185,7 +185,7 @@ impl MapView {
         InstantPhasors::new(&self.spec.periodicities, civil)
     }
 
-    /// Makes samples on the map's civil time, for observations from outside.
+    /// Makes samples on the map's civil time, for observations from outside the map.
     pub fn sample_maker(&self) -> impl FnMut(i64, f64) -> Sample + use<> {
         let mut offsets = self.spec.zone.offset_cache();
         move |utc_nanos, value| Sample { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos), value }

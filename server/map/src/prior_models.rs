@@ -1,7 +1,7 @@
 //! The models of untrained states.
 //!
-//! Invariant: there is one model of each kind, shared by all states that have learned nothing, are reported by samples,
-//! and whose sensor is not known.
+//! Invariant: there is one model of each kind, shared by all states that have learned nothing, report samples, and have
+//! no known sensor.
 
 use std::sync::Arc;
 
@@ -35,12 +35,12 @@ impl PriorModels {
         }
     }
 
-    /// The model that a state begins to learn with.
+    /// The model with which a state begins to learn.
     pub(crate) fn beginning(&self, info: &StateInfo) -> Arc<StateModel> {
         self.with(info.kind, info.sensor, info.reporting)
     }
 
-    /// The model that the state of a model began to learn with.
+    /// The model with which the state of a model began to learn.
     pub(crate) fn beginning_of(&self, model: &StateModel) -> Arc<StateModel> {
         self.with(model.kind(), model.sensor(), model.reporting())
     }

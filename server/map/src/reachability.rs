@@ -1,11 +1,12 @@
 //! How often robots have reached places: a plane of cells of 50 cm, each with its last five attempts (RA-L, section
 //! III.D).
 //!
-//! A place that no robot has tried has the prior, so that robots try it: RA-L drops places with a rate of 0 and says
-//! nothing of unknown ones. Rates are not smoothed: five failures in a row are a rate of 0, and only a later success
-//! undoes it, from a robot that goes there for another reason.
+//! A place that no robot has tried has the prior, so that robots try it: RA-L drops places with a rate of 0 and does
+//! not treat unknown places. Rates are not smoothed: five failures in a row are a rate of 0, and only a later success
+//! changes it, from a robot that goes there for another reason.
 //!
-//! Invariant: the content is a function of the reports and their order of arrival, and bounded by a number of cells.
+//! Invariant: the content is a function of the reports and their order of arrival, and its size is bounded by a number
+//! of cells.
 
 use std::collections::BTreeMap;
 
@@ -19,12 +20,12 @@ pub(crate) const REACHABILITY_ATTEMPTS: u32 = 5;
 /// Coordinates lie within ± this, metres.
 pub(crate) const REACHABILITY_LIMIT_M: f64 = 1e7;
 
-/// Where a cell of 50 cm is: x and y in cells from the origin of the map's frame.
+/// The position of a cell of 50 cm: x and y in cells from the origin of the map's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ReachabilityCell {
-    /// Along x.
+    /// Index along x.
     pub x: i32,
-    /// Along y.
+    /// Index along y.
     pub y: i32,
 }
 
@@ -42,7 +43,7 @@ impl ReachabilityCell {
         Ok(ReachabilityCell { x: along(x_m), y: along(y_m) })
     }
 
-    /// Its centre in the map's frame, metres.
+    /// The centre of the cell in the map's frame, metres.
     #[must_use]
     pub fn centre_m(self) -> [f64; 2] {
         [self.x, self.y].map(|along| (f64::from(along) + 0.5) * REACHABILITY_CELL_M)
@@ -59,14 +60,14 @@ impl ReachabilityCell {
 pub struct Attempts {
     /// Number of attempts, 1 to 5.
     pub count: u8,
-    /// Whether they succeeded, the newest in the lowest bit; no bit beyond `count`.
+    /// Whether each attempt succeeded, with the newest in the lowest bit; no bit beyond `count` is set.
     pub reached: u8,
-    /// Time of the newest by its own time, nanoseconds UTC.
+    /// Time of the newest attempt, by the attempts' own times, nanoseconds UTC.
     pub last_nanos: i64,
 }
 
 impl Attempts {
-    /// Share of them that succeeded.
+    /// Share of the attempts that succeeded.
     pub fn rate(&self) -> f64 {
         f64::from(self.reached.count_ones()) / f64::from(self.count.max(1))
     }
@@ -76,7 +77,7 @@ impl Attempts {
     }
 }
 
-/// How probably a place is reached.
+/// How probable it is to reach a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReachabilityRate {
     /// Share of the counted attempts that succeeded; the prior without attempts.
@@ -91,9 +92,9 @@ pub enum ReachabilityError {
     /// The place is invalid.
     #[error("place ({x_m}, {y_m}) m: both must be finite and within ±{REACHABILITY_LIMIT_M} m")]
     Place {
-        /// In the map's frame, metres.
+        /// The x coordinate in the map's frame, metres.
         x_m: f64,
-        /// In the map's frame, metres.
+        /// The y coordinate in the map's frame, metres.
         y_m: f64,
     },
     /// The prior is not a probability.
@@ -110,7 +111,7 @@ pub enum ReachabilityError {
     Damaged {
         /// The cell.
         cell: ReachabilityCell,
-        /// What was stored.
+        /// The stored attempts.
         attempts: Attempts,
     },
     /// A cell was stored twice.
@@ -145,10 +146,10 @@ impl Reachability {
         Ok(Reachability { prior, max_cells, cells: BTreeMap::new() })
     }
 
-    /// This prior and limit with what [`Reachability::parts`] gave, in any order, and nothing else.
+    /// This prior and limit with the result of [`Reachability::parts`], in any order, and nothing else.
     ///
     /// # Errors
-    /// [`ReachabilityError`] where it cannot have come from there.
+    /// [`ReachabilityError`] where it cannot be such a result.
     pub fn with_parts(
         self,
         parts: impl IntoIterator<Item = (ReachabilityCell, Attempts)>,
@@ -156,10 +157,10 @@ impl Reachability {
         Reachability::from_parts(self.prior, self.max_cells, parts)
     }
 
-    /// What [`Reachability::parts`] gave, in any order.
+    /// Restores from the result of [`Reachability::parts`], in any order.
     ///
     /// # Errors
-    /// [`ReachabilityError`] where it cannot have come from there.
+    /// [`ReachabilityError`] where it cannot be such a result.
     pub fn from_parts(
         prior: f64,
         max_cells: usize,
@@ -183,7 +184,7 @@ impl Reachability {
     /// Whether a report of a place can be applied.
     ///
     /// # Errors
-    /// As [`Reachability::report`].
+    /// The errors of [`Reachability::report`].
     pub fn check(&self, x_m: f64, y_m: f64) -> Result<(), ReachabilityError> {
         let cell = ReachabilityCell::at(x_m, y_m)?;
         let has_room = self.cells.contains_key(&cell) || self.cells.len() < self.max_cells;
@@ -211,7 +212,8 @@ impl Reachability {
         Ok(())
     }
 
-    /// The probability of reaching a place in the map's frame, in metres; 0 for one that is not finite or too far away.
+    /// The probability of reaching a place in the map's frame, in metres; 0 for a place that is not finite or too far
+    /// away.
     pub fn rate(&self, x_m: f64, y_m: f64) -> ReachabilityRate {
         let Ok(cell) = ReachabilityCell::at(x_m, y_m) else { return ReachabilityRate { rate: 0.0, attempts: 0 } };
         match self.cells.get(&cell) {

@@ -1,7 +1,7 @@
 //! Reports of robots: a traversal of an edge, a sighting of landmarks, a run of a task.
 //!
-//! Invariant: a report has one sequence number and gives an observation of one or more states; it is learned with all
-//! of them, or refused.
+//! Invariant: a report has one sequence number and is an observation of one or more states; it is learned with all of
+//! them, or refused.
 
 use tidemap_model::StateKind;
 
@@ -14,10 +14,10 @@ use crate::{
     traversal::{EdgeFailure, Traversal, TraversalError},
 };
 
-/// Bytes of an observation in the log besides the name of its state, at most.
+/// Maximum number of bytes of an observation in the log besides the name of its state.
 const OBSERVATION_BYTES: usize = 48;
 
-/// What a robot reports of a place of the topological map.
+/// A report of a robot about a place of the topological map.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
     /// The robot travelled an edge, or tried to.
@@ -43,7 +43,7 @@ pub enum ReportError {
 }
 
 impl Report {
-    /// When it begins, nanoseconds UTC.
+    /// The time at which the reported action begins, nanoseconds UTC.
     #[must_use]
     pub fn time_nanos(&self) -> i64 {
         match self {
@@ -53,10 +53,10 @@ impl Report {
         }
     }
 
-    /// The observations that it gives, on a map with this site.
+    /// The observations that the report contains, on a map with this site.
     ///
     /// # Errors
-    /// [`ReportError`]; it gives none then.
+    /// [`ReportError`]; then there are no observations.
     pub fn samples(&self, site: &Site) -> Result<Vec<ReportSample>, ReportError> {
         match self {
             Self::Traversal(traversal) => {
@@ -81,8 +81,8 @@ impl Report {
         }
     }
 
-    /// Bytes of its observations in the log, at most, and about half of what they take in memory until they are
-    /// durable. A sighting gives an observation of each landmark of its place.
+    /// Maximum number of bytes of the report's observations in the log, and about half of their memory until they are
+    /// durable. A sighting is an observation of each landmark of its place.
     #[must_use]
     pub fn log_bytes(&self, site: &Site) -> usize {
         match self {
@@ -94,13 +94,13 @@ impl Report {
                 let of_landmarks = landmarks.map(|known| OBSERVATION_BYTES + prefix + known.name.as_str().len());
                 OBSERVATION_BYTES + of_landmarks.sum::<usize>() + sighting.traversal.as_ref().map_or(0, of_traversal)
             }
-            // The observation, and the run itself.
+            // The size is that of the observation and of the run itself.
             Self::TaskRun(run) => 2 * (OBSERVATION_BYTES + run.name.to_string().len()) + run.reason.len(),
         }
     }
 }
 
-/// Bytes of the observations of a traversal in the log, at most: of two states, and of the failure.
+/// Maximum number of bytes of the observations of a traversal in the log: of two states, and of the failure.
 fn of_traversal(traversal: &Traversal) -> usize {
     3 * (OBSERVATION_BYTES + traversal.edge.to_string().len()) + traversal.reason.len()
 }

@@ -1,6 +1,6 @@
-//! The observations that reports of robots give.
+//! The observations that reports of robots contain.
 //!
-//! Invariant: the state of an observation is named by what was observed: an edge, a landmark or a task.
+//! Invariant: the state of an observation has the name of the observed object: an edge, a landmark or a task.
 
 use tidemap_model::StateKind;
 
@@ -10,14 +10,14 @@ use crate::{
     traversal::{Traversal, TraversalError},
 };
 
-/// An observation that a report gives: of the state of an edge, a landmark or a task.
+/// An observation in a report: of the state of an edge, a landmark or a task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReportSample {
     /// The state.
     pub state: StateName,
     /// Kind of the state's values.
     pub kind: StateKind,
-    /// When, nanoseconds UTC.
+    /// The time, nanoseconds UTC.
     pub time_nanos: i64,
     /// The value.
     pub value: f64,

@@ -1,7 +1,7 @@
-//! The samples that rows of changes and events stand for, on a map's civil time.
+//! The samples that rows of changes and events represent, on a map's civil time.
 //!
-//! Invariant: a sample without a value is a row that ends a hold; no reading is one. No more readings are made than are
-//! asked for, however many the rows stand for.
+//! Invariant: a sample without a value is a row that ends a hold; a reading always has a value. No more readings are
+//! made than are requested, however many the rows represent.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ pub(crate) fn sample_at(offsets: &mut OffsetCache, (utc_nanos, value): Reading) 
     Sample { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos), value }
 }
 
-/// The samples that rows stand for. The rows ascend by time.
+/// The samples that rows represent. The rows ascend by time.
 pub(crate) fn samples_of(
     reporting: Reporting,
     rows: &[Sample],
@@ -29,17 +29,17 @@ pub(crate) fn samples_of(
     reporting.readings(rows_of(rows), horizon_nanos).map(|reading| sample_at(offsets, reading)).collect()
 }
 
-/// Which readings are asked for.
+/// The readings that are requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AskedReadings {
-    /// From the first instant up to but not including the last, nanoseconds UTC.
+    /// The readings from the first instant up to but not including the last, nanoseconds UTC.
     pub within_nanos: Range<i64>,
-    /// The first of them at most.
+    /// Maximum number of readings; the first ones are returned.
     pub at_most: usize,
 }
 
 impl AskedReadings {
-    /// What rows stand for, if `learned` has been learned before them.
+    /// The readings that rows represent, if `learned` has been learned before them.
     fn read(&self, learned: LearnedRows, reporting: Reporting, rows: Vec<Reading>, horizon_nanos: i64) -> Vec<Reading> {
         let rows = rows.into_iter().map(|(nanos, value)| (nanos, (!value.is_nan()).then_some(value))).collect();
         let readings = learned.learn(reporting, rows, horizon_nanos).0;
@@ -56,8 +56,8 @@ impl AskedReadings {
 }
 
 impl MapView {
-    /// The times of the observations that say what a state was within an interval, nanoseconds UTC: a row may hold into
-    /// it, and events are counted up to the end of a step.
+    /// The times of the observations that determine the values of a state within an interval, nanoseconds UTC: a row
+    /// may hold into the interval, and events are counted up to the end of a step.
     #[must_use]
     pub fn rows_about(&self, id: StateId, within_nanos: &Range<i64>) -> Range<i64> {
         let Range { start, end } = *within_nanos;
@@ -68,8 +68,8 @@ impl MapView {
         }
     }
 
-    /// What observations of a state that updates have learned stand for: the observations themselves, or the readings
-    /// that rows of changes and events stand for. Both ascend by time.
+    /// The readings that learned observations of a state represent: the observations themselves, or the readings that
+    /// rows of changes and events represent. Both ascend by time.
     #[must_use]
     pub fn learned_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
         match self.model(id).learned_rows() {
@@ -78,8 +78,8 @@ impl MapView {
         }
     }
 
-    /// What all observations of a state stand for, learned or not. Both ascend by time. Readings need the observations
-    /// of [`MapView::rows_about`] the interval.
+    /// The readings that all observations of a state represent, learned or not. Both ascend by time. The readings of an
+    /// interval need the observations of [`MapView::rows_about`] the interval.
     #[must_use]
     pub fn observed_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
         if !self.reporting(id).may_end() {
@@ -88,7 +88,7 @@ impl MapView {
         asked.read(LearnedRows::default(), self.reporting(id), observed, self.known_to(id))
     }
 
-    /// What pending observations of a state stand for, which no update has learned; ascending by time.
+    /// The readings that pending observations of a state represent, which no update has learned; ascending by time.
     #[must_use]
     pub fn pending_readings(&self, id: StateId, mut pending: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
         pending.sort_by_key(|(nanos, _)| *nanos);
@@ -103,7 +103,7 @@ impl MapView {
         self.info(id).map_or(Reporting::Samples, |info| info.reporting)
     }
 
-    /// Nothing is known of a state that reports changes or events from then on.
+    /// The time from which on the value of a state that reports changes or events is not known.
     fn known_to(&self, id: StateId) -> i64 {
         self.live(id).persistence.last().map_or(0, |(nanos, _)| nanos.saturating_add(1))
     }

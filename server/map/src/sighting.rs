@@ -1,7 +1,7 @@
-//! Sightings: which landmarks of a place a robot saw at a time, and which it looked for in vain.
+//! Sightings: the landmarks of a place that a robot saw at a time, and those that it looked for in vain.
 //!
-//! Invariant: a sighting is an observation of each landmark of its place and part, 1 or 0, but of those that were out
-//! of view; it is taken whole or not at all.
+//! Invariant: a sighting is an observation of each landmark of its place and part, 1 or 0, except the landmarks that
+//! were out of view; it is accepted whole or not at all.
 
 use std::collections::HashMap;
 
@@ -31,12 +31,12 @@ pub enum SightingError {
     /// The part of the edge is invalid.
     #[error("part {from_m} m to {to_m} m: only an edge has parts, and they begin at 0 or later and end after that")]
     Part {
-        /// Where it begins.
+        /// The beginning of the part.
         from_m: f64,
-        /// Where it ends.
+        /// The end of the part.
         to_m: f64,
     },
-    /// The traversal is of another place.
+    /// The traversal is of an edge that is not the place.
     #[error("the traversal is of edge {traversed:?}, and the sighting of {place:?}: both must be of one edge")]
     OtherEdge {
         /// The edge that was traversed.
@@ -47,7 +47,7 @@ pub enum SightingError {
     /// The robot looked before or after the traversal.
     #[error("time {time_nanos} ns is not within the traversal, from {start_nanos} ns to {end_nanos} ns")]
     NotOnTheWay {
-        /// When it looked, nanoseconds UTC.
+        /// The time at which the robot looked, nanoseconds UTC.
         time_nanos: i64,
         /// When the traversal started, nanoseconds UTC.
         start_nanos: i64,
@@ -62,9 +62,9 @@ pub enum SightingError {
 /// A part of an edge, metres from its beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PartOfEdge {
-    /// Where it begins, included.
+    /// The beginning of the part, included.
     pub from_m: f64,
-    /// Where it ends, included.
+    /// The end of the part, included.
     pub to_m: f64,
 }
 
@@ -83,35 +83,35 @@ impl PartOfEdge {
         if is_valid { Ok(()) } else { Err(SightingError::Part { from_m, to_m }) }
     }
 
-    /// Whether a landmark is there; those of nodes are everywhere.
+    /// Whether a landmark is in this part; landmarks of nodes are in every part.
     #[must_use]
     pub fn holds(self, landmark: &Landmark) -> bool {
         landmark.kind.along_m().is_none_or(|along| (self.from_m..=self.to_m).contains(&along))
     }
 }
 
-/// What a robot saw of the landmarks of a place.
+/// The landmarks of a place that a robot saw.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sighting {
-    /// Where it looked.
+    /// The place at which the robot looked.
     pub place: PlaceName,
     /// The part of the edge.
     pub part: PartOfEdge,
-    /// When, nanoseconds UTC.
+    /// The time, nanoseconds UTC.
     pub time_nanos: i64,
     /// The landmarks that it saw.
     pub seen: Vec<StateName>,
-    /// Those that it could not have seen: hidden behind something, or beyond the edge of the image.
+    /// The landmarks that the robot could not have seen: hidden behind something, or beyond the edge of the image.
     pub out_of_view: Vec<StateName>,
-    /// The traversal on which it looked, of the edge that is the place.
+    /// The traversal on which the robot looked, of the edge that is the place.
     pub traversal: Option<Traversal>,
 }
 
 impl Sighting {
-    /// The observations that it gives.
+    /// The observations that the sighting contains.
     ///
     /// # Errors
-    /// [`SightingError`]; it gives none then.
+    /// [`SightingError`]; then there are no observations.
     pub fn samples(&self, site: &Site) -> Result<Vec<ReportSample>, SightingError> {
         let Self { place, part, time_nanos, seen, out_of_view, traversal } = self;
         if *time_nanos < 0 {

@@ -1,5 +1,5 @@
-//! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
-//! reachability, the topological map, its landmarks, failed traversals, tasks, and no-go areas.
+//! The site of a map: the data that people and robots give the map besides observations. It holds the charger,
+//! locations, reachability, the topological map, its landmarks, failed traversals, tasks, and no-go areas.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
 //! applied whole; any other changes nothing.
@@ -27,7 +27,7 @@ pub const LOCATIONS_MAX: usize = 10_000;
 /// Maximum number of states and cells of a location.
 pub(crate) const LOCATION_STATES_MAX: usize = 4_096;
 
-/// Farthest from the map's origin that a place may be, metres.
+/// Maximum distance of a place from the map's origin, metres.
 pub const PLACE_MAX_M: f64 = 1e7;
 
 /// States and cells that can be observed together, from one place; at least one.
@@ -37,26 +37,26 @@ pub struct Location {
     pub states: Vec<StateId>,
     /// Cells of the grid, ascending.
     pub cells: Vec<CellIndex>,
-    /// Where the robot stands to observe them: x, y in the map's frame, metres. `None`: not given.
+    /// The position of the robot when it observes them: x, y in the map's frame, metres. `None`: not given.
     pub position_m: Option<[f64; 2]>,
 }
 
 /// A change of a site.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SiteEdit {
-    /// Where the robot rests and charges: x, y in the map's frame, metres; `None` clears it.
+    /// Sets the place where the robot rests and charges: x, y in the map's frame, metres; `None` clears it.
     Charger(Option<[f64; 2]>),
-    /// A location is added, or replaces the one of that name.
+    /// A location is added, or replaces the location of that name.
     SetLocation(StateName, Location),
     /// A location is removed.
     RemoveLocation(StateName),
     /// A robot reached a place that it was sent to, or did not.
     Visit {
-        /// Where, x and y in the map's frame, metres.
+        /// The place, x and y in the map's frame, metres.
         at_m: [f64; 2],
-        /// Whether it got there.
+        /// Whether the robot reached it.
         reached: bool,
-        /// When, nanoseconds UTC.
+        /// The time, nanoseconds UTC.
         utc_nanos: i64,
     },
     /// The topological map is changed.
@@ -78,7 +78,7 @@ pub enum InvalidEdit {
     /// A location needs states.
     #[error("location {0:?} has no states: name at least one")]
     NoStates(String),
-    /// A location has too many.
+    /// A location has too many states and cells.
     #[error("location {name:?} has {got} states, more than {max}")]
     TooManyStates {
         /// The location.
@@ -127,7 +127,7 @@ pub enum InvalidEdit {
     StateName(#[from] InvalidName),
 }
 
-/// The site: what people and robots tell the map besides observations.
+/// The site: the data that people and robots give the map besides observations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Site {
     charger_m: Option<[f64; 2]>,
@@ -141,7 +141,7 @@ pub struct Site {
 }
 
 impl Site {
-    /// Where the robot rests: x, y in the map's frame, metres.
+    /// The place where the robot rests: x, y in the map's frame, metres.
     pub fn charger_m(&self) -> Option<[f64; 2]> {
         self.charger_m
     }
@@ -186,7 +186,7 @@ impl Site {
         &self.failures
     }
 
-    /// The areas that nothing is planned through.
+    /// The areas through which nothing is planned.
     pub fn no_go(&self) -> &NoGoAreas {
         &self.no_go
     }
@@ -277,7 +277,7 @@ impl Site {
     /// Applies an edit.
     ///
     /// # Errors
-    /// As [`Site::check`]; nothing is changed then.
+    /// The errors of [`Site::check`]; nothing is changed then.
     pub fn apply(&mut self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
         if let SiteEdit::Topology(edit) = edit {
             if let TopologyEdit::RenameNode { from, to } = edit {
@@ -312,7 +312,7 @@ impl Site {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
             SiteEdit::Task(edit) => self.tasks.apply(edit)?,
-            // Done above.
+            // These edits are applied above.
             SiteEdit::Topology(_) | SiteEdit::Landmarks(_) | SiteEdit::NoGo(_) => {}
         }
         Ok(())

@@ -1,8 +1,8 @@
 //! A map after an update, for the store to save and restore.
 //!
-//! Invariant: a snapshot and the events after it give the map. Everything at log positions up to `position` is in it,
-//! except observations that were still pending: these are at positions from `replay_from` on, with a time not before
-//! `cut_nanos`.
+//! Invariant: a snapshot and the events after it determine the map. The snapshot contains the events at log positions
+//! up to `position`, except observations that were still pending: these are at positions from `replay_from` on, with a
+//! time not before `cut_nanos`.
 
 use std::sync::Arc;
 
@@ -34,18 +34,18 @@ pub struct MapSnapshot {
     pub producers: Vec<ProducerMark>,
     /// States; the index is the `StateId`.
     pub states: Vec<StateSnapshot>,
-    /// The site: what people and robots tell the map besides observations.
+    /// The site: the data that people and robots give the map besides observations.
     pub site: Arc<Site>,
     /// The grid, where the map has one.
     pub grid: Option<GridSnapshot>,
-    /// What updates up to this one have learned and no save has kept yet, ascending by generation. Not part of the
+    /// The history of updates up to this one that no save has kept yet, ascending by generation. It is not part of the
     /// map's state: a snapshot that is read back has none.
     pub history: Vec<Arc<HistoryPiece>>,
 }
 
 impl MapSnapshot {
-    /// What the generation publishes: the same without the sums, the pending scans and the history that it is made of.
-    /// A view of it answers as one of the snapshot does before anything is pending.
+    /// The part of the snapshot that the generation publishes: the snapshot without the sums, the pending scans and the
+    /// history. A view of it gives the same answers as a view of the snapshot before anything is pending.
     #[must_use]
     pub fn published(&self) -> MapSnapshot {
         let state = |state: &StateSnapshot| StateSnapshot {
@@ -64,7 +64,7 @@ impl MapSnapshot {
     }
 }
 
-/// How many [`ContentMark`]s of a producer are kept, that of its durable sequence included.
+/// Maximum number of [`ContentMark`]s of a producer that are kept, including the mark of its durable sequence.
 pub const CONTENT_MARKS_MAX: usize = 8;
 
 /// The running CRC-32C over a producer's observations up to one of them.
@@ -89,23 +89,24 @@ pub struct ProducerMark {
     pub content_crc: u32,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
-    /// When the daemon received the newest of them, nanoseconds UTC.
+    /// The time at which the daemon received the newest of these observations, nanoseconds UTC.
     pub received_nanos: i64,
-    /// Latest time of its observations that did not have to wait, nanoseconds UTC; 0 in a map without states that
-    /// report changes or events.
+    /// Latest time of the producer's observations that did not have to wait, nanoseconds UTC; 0 in a map without states
+    /// that report changes or events.
     pub newest_nanos: i64,
-    /// The running CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
+    /// The running CRC after each of the newest events, without the last event, ascending; fewer than
+    /// [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
-    /// Whether any of them was a scan.
+    /// Whether the producer has ever sent a scan.
     pub has_scans: bool,
-    /// Whether it has given its place up, until it sends again. Its sequence goes on where it was.
+    /// Whether the producer has given its place up, until it sends again. Its sequence continues at its old number.
     pub is_forgotten: bool,
-    /// The client that introduced it, as shares count clients; empty: one without a share.
+    /// The client that introduced the producer, for the shares per client; empty: a client without a share.
     pub introduced_by: String,
 }
 
 impl ProducerMark {
-    /// The CRCs that are known, ascending, with that of the durable sequence.
+    /// The CRCs that are known, ascending, including that of the durable sequence.
     #[must_use]
     pub fn content_marks(&self) -> Vec<ContentMark> {
         let newest = ContentMark { sequence: self.durable_sequence, crc: self.content_crc };
@@ -113,7 +114,7 @@ impl ProducerMark {
     }
 }
 
-/// One state.
+/// The data of one state in a snapshot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateSnapshot {
     /// The name of the state, unique within the map.
@@ -128,6 +129,6 @@ pub struct StateSnapshot {
     pub recent: Recent,
     /// The newest row, where rows are changes or events.
     pub newest_row: Option<NewestRow>,
-    /// Its model, shared with the view that is in force.
+    /// The model of the state, shared with the view that is in force.
     pub model: Arc<StateModel>,
 }

@@ -21,19 +21,19 @@ pub struct MapSpec {
     pub criterion: OrderCriterion,
     /// When the map was created, nanoseconds UTC.
     pub created_nanos: i64,
-    /// Age difference to the newest observation at which an observation of a named state counts half, in nanoseconds,
-    /// above 0; `None`: all count alike.
+    /// An observation of a named state that is this much older than the newest observation counts half; in nanoseconds,
+    /// above 0. `None`: all observations count alike.
     pub half_life_nanos: Option<i64>,
     /// The prediction of an untrained state, in [0, 1].
     pub prior: f64,
     /// How long the exact observations of named states are kept.
     pub retention: Retention,
-    /// Which models the nightly update of a named state chooses among.
+    /// The models among which the nightly update of a named state chooses.
     pub models: EnabledModels,
-    /// Whether the clocks of its producers are real: observations before [`REAL_CLOCK_MIN_NANOS`] are then refused. A
-    /// simulation may begin at 0.
+    /// Whether the clocks of the map's producers are real: observations before [`REAL_CLOCK_MIN_NANOS`] are then
+    /// refused. A simulation may begin at 0.
     pub has_real_clock: bool,
-    /// Its occupancy grid, if it has one.
+    /// The occupancy grid of the map, if it has one.
     pub grid: Option<GridSpec>,
 }
 

@@ -1,4 +1,5 @@
-//! Tasks of a map: what a robot should do where and when, the kept plans of days, and the reports of what was done.
+//! Tasks of a map: the work that a robot should do, with places and times, the kept plans of days, and the reports of
+//! what was done.
 //!
 //! A task is done at a node of the topological map. Charging is a task like others, of the kind [`CHARGE_KIND`] (N.
 //! Hawes et al., "The STRANDS Project", IEEE RAM 2017). Windows are in local time, so that a task at nine stays at nine
@@ -36,10 +37,10 @@ const DAY_SECS: u32 = 86_400;
 /// A bit for each day of the week, Monday in the lowest.
 pub const ALL_WEEKDAYS: u8 = 0x7f;
 
-/// On which days something is done.
+/// The days on which something is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskDays {
-    /// On these days of every week: a bit each, Monday in the lowest; at least one.
+    /// On these days of every week: a bit for each day, Monday in the lowest; at least one.
     Weekly(u8),
     /// On this day only.
     On(LocalDay),
@@ -57,7 +58,7 @@ impl TaskDays {
 /// A task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotTask {
-    /// Its kind and node.
+    /// The kind and the node of the task.
     pub name: TaskName,
     /// Earliest start, seconds after local midnight.
     pub from_secs: u32,
@@ -65,11 +66,11 @@ pub struct RobotTask {
     pub until_secs: u32,
     /// How long it takes, in seconds.
     pub duration_secs: u32,
-    /// On which days it is done.
+    /// The days on which the task is done.
     pub days: TaskDays,
     /// The window is divided into parts of this length, and the task is done once in each; `None`: once in the window.
     pub every_secs: Option<u32>,
-    /// What it is worth, 0 to [`TASK_VALUE_MAX`].
+    /// The value of the task, 0 to [`TASK_VALUE_MAX`].
     pub value: f64,
     /// A state whose probability at the time multiplies the value.
     pub value_state: Option<StateName>,
@@ -100,10 +101,10 @@ pub enum TaskError {
     /// The map has no such task.
     #[error("task {0:?} does not exist")]
     Unknown(String),
-    /// A task of a renamed node would have the name of another.
+    /// A task of a renamed node would have the name of another task.
     #[error("a task of the node would be renamed to {0:?}, but a task of that name exists: remove one of them first")]
     Renamed(String),
-    /// The map has too many.
+    /// The map has too many tasks.
     #[error("the map has the maximum of {0} tasks")]
     TooMany(usize),
     /// A plan is invalid.
@@ -112,7 +113,7 @@ pub enum TaskError {
 }
 
 impl RobotTask {
-    /// Checks its numbers. Whether node and state exist is not checked: they may be added later.
+    /// Checks the task's numbers. Whether node and state exist is not checked: they may be added later.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -168,23 +169,23 @@ pub fn local_nanos(zone: &Zone, day: LocalDay, secs: u32) -> i64 {
 /// A report: a robot did a task, or tried to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskRun {
-    /// The task. It need not exist: a robot may do what no plan says.
+    /// The task. It need not exist: a robot may do a task that no plan contains.
     pub name: TaskName,
     /// When the robot began, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it ended or gave up, nanoseconds UTC.
+    /// When the robot ended or gave up, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Whether it succeeded.
+    /// Whether the robot succeeded.
     pub success: bool,
-    /// Whether the robot could not go on by itself: somebody had to help who was not asked to. It ends the lifetime of
-    /// the system.
+    /// Whether the robot could not go on by itself, so that a person had to help without being asked to. It ends the
+    /// lifetime of the system.
     pub intervention: bool,
-    /// Reason of a failure, for people, normalised as that of a traversal.
+    /// Reason of a failure, for people, normalised in the same way as the reason of a traversal.
     pub reason: String,
 }
 
 impl TaskRun {
-    /// Checks its times.
+    /// Checks the times of the report.
     ///
     /// # Errors
     /// [`TraversalError`].
@@ -202,7 +203,7 @@ impl TaskRun {
         Ok(())
     }
 
-    /// The value of its observation: of the state [`TaskName::state`], at its start.
+    /// The value of the report's observation: of the state [`TaskName::state`], at the start of the run.
     #[must_use]
     pub fn observed(&self) -> f64 {
         f64::from(u8::from(self.success))
@@ -212,12 +213,12 @@ impl TaskRun {
 /// The reports of a map that began last: at most [`TASK_RUNS_MAX`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TaskRuns {
-    /// Ascending by start; of equal starts in the order in which they came.
+    /// The reports, ascending by start; reports with equal starts are in order of arrival.
     oldest_first: Arc<VecDeque<Arc<TaskRun>>>,
 }
 
 impl TaskRuns {
-    /// Adds one, and drops the oldest where there are too many.
+    /// Adds a report, and drops the oldest report where there are too many.
     pub fn add(&mut self, run: TaskRun) {
         let kept = Arc::make_mut(&mut self.oldest_first);
         let place = kept.partition_point(|known| known.start_nanos <= run.start_nanos);
@@ -227,7 +228,7 @@ impl TaskRuns {
         }
     }
 
-    /// All of them. Added again in this order, they are the same.
+    /// All reports. If they are added again in this order, the result is equal.
     pub fn oldest_first(&self) -> impl DoubleEndedIterator<Item = &TaskRun> + ExactSizeIterator {
         self.oldest_first.iter().map(|run| &**run)
     }

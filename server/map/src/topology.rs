@@ -1,8 +1,8 @@
 //! The topological map: named nodes, and the edges between them.
 //!
-//! It is a part of the site of its map. Each edit (`topology/edit.rs`) names nodes and is one event of the log, so that
-//! it means the same whenever it is applied; a load is one edit. Checkpoint and index hold the map in the record of the
-//! site.
+//! The topological map is a part of the site of its map. Each edit (`topology/edit.rs`) names nodes and is one event of
+//! the log, so that it has the same meaning whenever it is applied; a load is one edit. Checkpoint and index hold the
+//! topological map in the record of the site.
 //!
 //! Invariant: every edge joins two different nodes that exist; names of nodes are unique; edges from one node to
 //! another have different actions; lengths and times are finite and in range. Ids are never reused, so that what was
@@ -26,20 +26,20 @@ use crate::name::StateName;
 pub(crate) const NODES_MAX: usize = 100_000;
 /// Maximum number of edges of a map; a link is two edges.
 pub(crate) const EDGES_MAX: usize = 1_000_000;
-/// Longest edge, in metres, and greatest coordinate of a pose.
+/// Maximum length of an edge, in metres, and maximum coordinate of a pose.
 pub(crate) const LENGTH_MAX_M: f64 = 1e7;
-/// Longest nominal time of an edge or a visit, in seconds: about 30 years.
+/// Maximum nominal time of an edge or a visit, in seconds: about 30 years.
 pub const NOMINAL_MAX_SECS: f64 = 1e9;
 
-/// A node, for as long as its map exists.
+/// Identifies a node for as long as its map exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct NodeId(pub u32);
 
-/// An edge, for as long as its map exists.
+/// Identifies an edge for as long as its map exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeId(pub u32);
 
-/// Where a node lies in the frame of its map.
+/// The pose of a node in the frame of its map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodePose {
     /// Metres along the first axis.
@@ -50,35 +50,35 @@ pub struct NodePose {
     pub yaw_rad: f64,
 }
 
-/// A place.
+/// A node of the topological map: a place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
     /// Identifies the node in this map; never used again.
     pub id: NodeId,
-    /// Its name, unique in the map.
+    /// The name of the node, unique in the map.
     pub name: StateName,
-    /// Where it lies, if that is known.
+    /// The pose of the node, if it is known.
     pub pose: Option<NodePose>,
     /// Duration of a visit once the robot is there, in seconds, 0 to [`NOMINAL_MAX_SECS`]; `None` if not given.
     pub dwell_secs: Option<f64>,
 }
 
-/// Length and nominal time of an edge, as the map's author gives them; at least one of the two.
+/// Length and nominal time of an edge, as the map's author states them; at least one of the two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Metres, above 0, to [`LENGTH_MAX_M`].
     pub length_m: Option<f64>,
-    /// Seconds that it nominally takes, above 0, to [`NOMINAL_MAX_SECS`].
+    /// Seconds that the edge nominally takes, above 0, to [`NOMINAL_MAX_SECS`].
     pub nominal_secs: Option<f64>,
 }
 
 impl Extent {
-    /// A nominal time alone.
+    /// An extent with a nominal time alone.
     pub fn secs(nominal_secs: f64) -> Extent {
         Extent { length_m: None, nominal_secs: Some(nominal_secs) }
     }
 
-    /// A length alone.
+    /// An extent with a length alone.
     pub fn metres(length_m: f64) -> Extent {
         Extent { length_m: Some(length_m), nominal_secs: None }
     }
@@ -108,11 +108,11 @@ impl Extent {
 pub struct Edge {
     /// Identifies the edge in this map; never used again.
     pub id: EdgeId,
-    /// Where it begins.
+    /// The node where the edge begins.
     pub from: NodeId,
-    /// Where it ends.
+    /// The node where the edge ends.
     pub to: NodeId,
-    /// The robot's action that travels it; `None` is the default action.
+    /// The robot's action that travels the edge; `None` is the default action.
     pub action: Option<StateName>,
     /// Length and nominal time.
     pub extent: Extent,
@@ -131,7 +131,7 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// A map without nodes.
+    /// A topological map without nodes.
     pub fn new() -> Topology {
         Topology::default()
     }
@@ -199,7 +199,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Removes a node with all edges at it, and returns these.
+    /// Removes a node with all edges at it, and returns the edges.
     ///
     /// # Errors
     /// [`TopologyError::UnknownNodeId`].
@@ -213,9 +213,8 @@ impl Topology {
     /// Adds an edge in one direction.
     ///
     /// # Errors
-    /// [`TopologyError`] where an end is unknown, both are the same, the edge exists, a number is out of range, or the
-    /// map
-    /// is full.
+    /// [`TopologyError`] where an end is unknown, both ends are equal, the edge exists, a number is out of range, or
+    /// the map is full.
     pub fn add_edge(
         &mut self,
         from: NodeId,
@@ -233,7 +232,7 @@ impl Topology {
     /// Adds edges in both directions, of the same length or time. Both or none are added.
     ///
     /// # Errors
-    /// As [`Topology::add_edge`].
+    /// The errors of [`Topology::add_edge`].
     pub fn link(&mut self, a: NodeId, b: NodeId, extent: Extent) -> Result<(EdgeId, EdgeId), TopologyError> {
         let there = self.add_edge(a, b, None, extent)?;
         match self.add_edge(b, a, None, extent) {
@@ -269,7 +268,7 @@ impl Topology {
         Ok(())
     }
 
-    /// Changes an edge's length or time; its number, and what was learned of it, stays.
+    /// Changes an edge's length or time; its number and its learned data stay.
     ///
     /// # Errors
     /// [`TopologyError`] where the edge is unknown or a number is out of range.

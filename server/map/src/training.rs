@@ -1,15 +1,15 @@
 //! Trains models again after each local day of an update, on the readings that updates have learned.
 //!
 //! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed
-//! days, seven days after they were last trained, and when the change alarm has rung since. Each is trained on the
-//! last twelve weeks. Starting one week after an alarm, models are trained only on data from three days before the
-//! alarm onwards. Of each kind, the models that have waited longest go first, and a limited number is trained after a
-//! day ([`trainings_max`]), so that a costly kind does not delay another. Maps without history of named states have
-//! none.
+//! days, seven days after they were last trained, and when the change alarm has been raised since. Each is trained on
+//! the last twelve weeks. Starting one week after an alarm, models are trained only on data from three days before the
+//! alarm onwards. For each kind, the models that have waited longest go first, and a limited number is trained after a
+//! day ([`trainings_max`]), so that a costly kind does not delay another. In maps without history of named states, no
+//! model is trained.
 //!
-//! Invariant: the training depends on the readings, the models and the map's properties alone: an update that is
-//! repeated from the same history trains the same models. If readings cannot be read, their models stay as they are,
-//! and the rest of the update goes on.
+//! Invariant: the training depends only on the readings, the models and the map's properties: an update that is
+//! repeated from the same history trains the same models. If readings cannot be read, their models stay unchanged, and
+//! the rest of the update goes on.
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -26,9 +26,9 @@ use crate::{event::StateKind, ids::StateId, row_samples::samples_of, spec::MapSp
 #[cfg(test)]
 mod tests;
 
-/// Maximum number of models of a kind that are trained after a day: as many as take a few minutes, so that a night
-/// with very many states ends. The longest-waiting go first; the others wait for the next day that their states have
-/// data of.
+/// Maximum number of models of a kind that are trained after a day: as many as take a few minutes, so that a night with
+/// very many states ends. The models that have waited longest go first; the others wait for the next day with data of
+/// their states.
 #[must_use]
 pub(crate) fn trainings_max(kind: ModelKind) -> usize {
     match kind.cost() {
@@ -42,11 +42,11 @@ pub(crate) fn trainings_max(kind: ModelKind) -> usize {
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
 
-/// About the maximum number of readings that a model is trained on: a state with more frequent readings is trained on
-/// fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
+/// Approximate maximum number of readings on which a model is trained: a state with more frequent readings is trained
+/// on fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
 pub const TRAINING_READINGS: u64 = 4_000_000;
 
-/// The readings to fetch for a state: those at this instant and later.
+/// The readings to fetch for a state: the readings at this instant and later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReadingsRequest {
     /// The state.
@@ -58,14 +58,14 @@ pub struct ReadingsRequest {
 /// A source of the readings that updates have learned.
 pub trait StateReadings: fmt::Debug + Send + Sync {
     /// The readings that earlier updates have learned of each of these states: one list per entry of `wanted`,
-    /// ascending by time; equal times in the order of the updates, then of arrival.
+    /// ascending by time; readings with equal times are in the order of the updates, then of arrival.
     ///
     /// # Errors
-    /// Why they cannot be had.
+    /// The reason why they cannot be read.
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String>;
 }
 
-/// What became of the models that were due.
+/// The outcome of the training of models that were due.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrainingOutcome {
     /// Models that were trained.
@@ -74,7 +74,7 @@ pub struct TrainingOutcome {
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
-    /// Why the first of these could not be read.
+    /// The reason why the readings of the first of these states could not be read.
     pub failure: Option<String>,
 }
 
@@ -88,31 +88,31 @@ impl TrainingOutcome {
     }
 }
 
-/// A state of which a day was learned.
+/// A state that has learned a day.
 pub(crate) struct Pupil<'a> {
     pub(crate) id: StateId,
-    /// What this update has learned of it up to the day.
+    /// The data of the state that this update has learned up to the day.
     pub(crate) own: Taught<'a>,
-    /// What was learned of it, from all days.
+    /// The model of the state, learned from all days.
     pub(crate) model: &'a mut Arc<StateModel>,
 }
 
-/// What an update has learned of a state.
+/// The data of a state that an update has learned.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Taught<'a> {
-    /// In order of time; rows, if the state reports changes or events.
+    /// The samples in order of time; they are rows if the state reports changes or events.
     pub(crate) samples: &'a [Sample],
-    /// Earlier updates have learned nothing else of it.
+    /// Whether earlier updates have learned nothing else of the state.
     pub(crate) is_all: bool,
     pub(crate) reporting: Reporting,
-    /// Rows are learned up to there.
+    /// Rows are learned up to this time.
     pub(crate) horizon_nanos: i64,
-    /// Rows from there on wait for a later day or update.
+    /// Rows from this time on wait for a later day or update.
     pub(crate) end_nanos: i64,
 }
 
 impl<'a> Taught<'a> {
-    /// Of a state that reports samples.
+    /// The data of a state that reports samples.
     pub(crate) fn samples(samples: &'a [Sample]) -> Taught<'a> {
         Taught { samples, is_all: false, reporting: Reporting::Samples, horizon_nanos: i64::MIN, end_nanos: i64::MAX }
     }
@@ -121,9 +121,9 @@ impl<'a> Taught<'a> {
 /// Limits of a round of training.
 #[derive(Clone, Copy, Debug)]
 struct Limits {
-    /// Models of a kind.
+    /// Maximum number of models of a kind.
     models: fn(ModelKind) -> usize,
-    /// Readings of one state, and of those whose models are trained at the same time.
+    /// Maximum number of readings of one state, and of all states whose models are trained at once.
     readings: u64,
 }
 
@@ -131,13 +131,13 @@ const LIMITS: Limits = Limits { models: trainings_max, readings: TRAINING_READIN
 
 /// A state with models that are due to be trained.
 struct Due<'a> {
-    /// Its place among the pupils.
+    /// The index of the state among the pupils.
     place: usize,
     wanted: ReadingsRequest,
     state_kind: StateKind,
     /// The models to train.
     kinds: Vec<ModelKind>,
-    /// What this update has learned.
+    /// The data that this update has learned.
     own: Taught<'a>,
     /// The first instant to train on.
     from_nanos: i64,
@@ -147,8 +147,8 @@ struct Due<'a> {
     expected: u64,
 }
 
-/// Trains the due models of the states of which a day was learned, on the current rayon pool. `end_nanos`: the end of
-/// the day, which sets the age of readings.
+/// Trains the due models of the states that have learned a day, on the current rayon pool. `end_nanos`: the end of the
+/// day, which determines the age of readings.
 pub(crate) fn train_due(
     spec: &MapSpec,
     end_nanos: i64,
@@ -166,7 +166,7 @@ fn train_within(
     pupils: &mut [Pupil<'_>],
     (source, pace): (&dyn StateReadings, &dyn Pace),
 ) -> TrainingOutcome {
-    // History may have been deleted up to here, or not yet: a model must not depend on that.
+    // History may have been deleted up to this time, or not yet: a model must not depend on that.
     let kept_from = match spec.retention {
         Retention::None => return TrainingOutcome::default(),
         Retention::Duration(nanos) => end_nanos.saturating_sub(nanos),
@@ -191,13 +191,13 @@ fn train_within(
             due((place, pupil), kinds, kept_from, &mut offsets, limits.readings)
         })
         .collect();
-    // As history has them; those of which nothing is read for themselves.
+    // States are in the order of history; states for which no readings are read come last.
     due.sort_by_key(|due| (due.own.is_all, due.wanted.state));
     let mut batches = Batches { rest: &due, readings_max: limits.readings, source };
     let mut outcome = TrainingOutcome { waiting, ..TrainingOutcome::default() };
     let mut next = batches.next();
     while let Some((batch, found)) = next {
-        // The next batch is read meanwhile.
+        // The next batch is read at the same time.
         let train_one = |(due, earlier)| {
             pace.await_turn();
             train(spec, due, earlier)
@@ -210,7 +210,7 @@ fn train_within(
                 for (due, trained) in batch.iter().zip(trained) {
                     let Some(pupil) = pupils.get_mut(due.place) else { continue };
                     let mut retrained = StateModel::clone(pupil.model);
-                    // Without readings the state keeps what it has.
+                    // Without readings the state keeps its model.
                     for trained in trained.into_iter().flatten() {
                         retrained = retrained.with_trained(trained, due.day);
                         outcome.trained += 1;
@@ -255,13 +255,14 @@ impl<'a> Iterator for Batches<'a> {
     }
 }
 
-/// How long a model of a state has waited: the day on which it was last trained, if any. `None` if it is not due.
+/// The time for which a model of a state has waited: the day on which it was last trained, if any. `None` if it is not
+/// due.
 fn trained_on(model: &StateModel, kind: ModelKind) -> Option<Option<LocalDay>> {
     let known = model.alternatives().filter(|_| model.is_training_due(kind))?;
     Some(known.trained(kind).map(|(_, day)| day))
 }
 
-/// The training data of models of these kinds. `kept_from`: the map keeps readings from then on.
+/// The training data of models of these kinds. `kept_from`: the map keeps readings from this time on.
 fn due<'a>(
     (place, pupil): (usize, &Pupil<'a>),
     kinds: Vec<ModelKind>,
@@ -280,19 +281,20 @@ fn due<'a>(
     let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(kept_from);
     if let Some(since) = known.training_since() {
         let civil_nanos = i64::from(since.0).saturating_mul(DAY_NANOS);
-        // Off by an hour if clocks changed between midnight UTC and local midnight, which does not matter over weeks.
+        // This is off by an hour if clocks changed between midnight UTC and local midnight, which does not matter over
+        // weeks.
         from_nanos =
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
     let expected = ((expected * share) as u64).max(1);
-    // A row may hold up to there.
+    // A row may hold for up to this long.
     let hold_nanos = own.reporting.hold().map_or(0, Hold::max_nanos);
     let wanted = ReadingsRequest { state: pupil.id, from_nanos: from_nanos.saturating_sub(hold_nanos).max(kept_from) };
     Some(Due { place, wanted, from_nanos, state_kind: model.kind(), kinds, own, day, expected })
 }
 
-/// Number of due states to process together: at least one, if there are any. Earlier readings are read of all of them
-/// or of none.
+/// Number of due states to process together: at least one, if there are any. Earlier readings are read for all of them
+/// or for none.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
     let is_all = due.first().is_some_and(|due| due.own.is_all);
@@ -309,7 +311,7 @@ fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<Trai
     let own = due.own.samples;
     let first = own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
     samples.extend_from_slice(own.get(first..).unwrap_or(&[]));
-    // Stable: of equal times those of earlier updates come first.
+    // The sort is stable: among equal times, readings of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     if due.own.reporting.may_end() {
         samples.truncate(samples.partition_point(|sample| sample.utc_nanos < due.own.end_nanos));

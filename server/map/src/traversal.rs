@@ -2,8 +2,8 @@
 //! failures.
 //!
 //! Invariant: a state never changes its unit. A speed is in metres per second and a pace is relative to the nominal
-//! time, by the edge's extent when the report was applied; so an edge that is given another length keeps what was
-//! learned.
+//! time, by the edge's extent when the report was applied; so an edge that is given another length keeps its learned
+//! data.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -14,8 +14,8 @@ use crate::{
     topology::{Edge, Extent, Topology, TopologyError},
 };
 
-/// Longest accepted traversal, nanoseconds: a day. States are learned by the time of day, which has no meaning for
-/// longer ones; and a wrong unit or a clock jump would be learned as an edge at a standstill.
+/// Maximum duration of an accepted traversal, nanoseconds: a day. States are learned by the time of day, which has no
+/// meaning for longer traversals; and a wrong unit or a clock jump would be learned as an edge at a standstill.
 pub(crate) const TRAVERSAL_MAX_NANOS: i64 = 86_400_000_000_000;
 /// Maximum number of characters of the reason of a failure.
 pub(crate) const REASON_CHARS_MAX: usize = 200;
@@ -31,7 +31,7 @@ pub struct Traversal {
     pub start_nanos: i64,
     /// When the robot arrived or gave up, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Whether it arrived.
+    /// Whether the robot arrived.
     pub success: bool,
     /// Reason of a failure, for people; may be empty.
     pub reason: String,
@@ -40,10 +40,10 @@ pub struct Traversal {
 /// Why a traversal is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TraversalError {
-    /// It is too old.
+    /// The traversal is too old.
     #[error("start {0} ns is before 1970")]
     Before1970(i64),
-    /// It ends before it starts.
+    /// The traversal ends before it starts.
     #[error("end {end_nanos} ns is before start {start_nanos} ns: a traversal ends after it starts")]
     Backwards {
         /// When the traversal started, nanoseconds UTC.
@@ -51,21 +51,21 @@ pub enum TraversalError {
         /// When the traversal ended, nanoseconds UTC.
         end_nanos: i64,
     },
-    /// It succeeded in zero time.
+    /// The traversal succeeded in zero time.
     #[error("start and end are both {0} ns: a traversal that succeeds takes time")]
     NoTime(i64),
-    /// It lasts too long.
+    /// The traversal lasts too long.
     #[error("it lasts {secs} s, more than a day: a traversal is of one edge, times are in nanoseconds")]
     TooLong {
         /// Duration in seconds.
         secs: f64,
     },
-    /// It is too fast.
+    /// The traversal is too fast.
     #[error("it takes {secs} s, so that its {} would be {value}, which is not {}", .what.prefix(), StateKind::Continuous.expected())]
     TooFast {
         /// Duration in seconds.
         secs: f64,
-        /// Speed or pace.
+        /// The quantity that is too fast: speed or pace.
         what: EdgeState,
         /// Metres per second, or nominal time over duration.
         value: f64,
@@ -73,10 +73,10 @@ pub enum TraversalError {
 }
 
 impl Traversal {
-    /// Checks its times.
+    /// Checks the times of the traversal.
     ///
     /// # Errors
-    /// [`TraversalError`], but [`TraversalError::TooFast`].
+    /// [`TraversalError`], except [`TraversalError::TooFast`].
     pub fn check(&self) -> Result<(), TraversalError> {
         let Self { start_nanos, end_nanos, success, .. } = *self;
         if start_nanos < 0 {
@@ -99,11 +99,11 @@ impl Traversal {
         self.end_nanos.saturating_sub(self.start_nanos) as f64 / 1e9
     }
 
-    /// The samples for the states of its edge, which has this extent: a value for each of one or two states, all at its
-    /// start.
+    /// The samples for the states of the edge, which has this extent: a value for each of one or two states, all at the
+    /// start of the traversal.
     ///
     /// # Errors
-    /// [`TraversalError`]; it says nothing then.
+    /// [`TraversalError`]; then there are no samples.
     pub fn samples(&self, extent: Extent) -> Result<Vec<(EdgeState, f64)>, TraversalError> {
         self.check()?;
         let mut samples = vec![(EdgeState::Success, f64::from(u8::from(self.success)))];
@@ -119,7 +119,7 @@ impl Traversal {
         Ok(samples)
     }
 
-    /// The failure to keep, if it failed.
+    /// The failure to keep, if the traversal failed.
     pub fn failure(&self) -> Option<EdgeFailure> {
         let Self { edge, start_nanos, end_nanos, success, reason } = self;
         let reason = if *success { None } else { Some(kept_reason(reason)) }?;
@@ -132,7 +132,7 @@ impl Traversal {
 fn travel(extent: Extent) -> (EdgeState, f64) {
     match (extent.length_m, extent.nominal_secs) {
         (Some(length_m), _) => (EdgeState::Speed, length_m),
-        // An edge has one of the two.
+        // An edge has at least one of the two.
         (None, nominal_secs) => (EdgeState::Pace, nominal_secs.unwrap_or(0.0)),
     }
 }
@@ -171,7 +171,7 @@ pub struct EdgeFailure {
     pub edge: EdgeName,
     /// When the robot started, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it gave up, nanoseconds UTC.
+    /// When the robot gave up, nanoseconds UTC.
     pub end_nanos: i64,
     /// The reason, normalised by [`kept_reason`].
     pub reason: String,
@@ -180,13 +180,13 @@ pub struct EdgeFailure {
 /// The failed traversals of a map that started last: at most [`FAILURES_MAX`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Failures {
-    /// Ascending by start; of equal starts in the order in which they came.
+    /// The failures, ascending by start; failures with equal starts are in order of arrival.
     oldest_first: Arc<VecDeque<Arc<EdgeFailure>>>,
 }
 
 impl Failures {
-    /// Adds one, and drops the oldest where there are too many. One that is older than all of as many as are kept is
-    /// not kept.
+    /// Adds a failure, and drops the oldest failure where there are too many. If the maximum number is kept, a failure
+    /// that is older than all of them is not kept.
     pub fn add(&mut self, failure: EdgeFailure) {
         let kept = Arc::make_mut(&mut self.oldest_first);
         let place = kept.partition_point(|known| known.start_nanos <= failure.start_nanos);
@@ -196,17 +196,17 @@ impl Failures {
         }
     }
 
-    /// All of them, the newest first.
+    /// All failures, the newest first.
     pub fn newest_first(&self) -> impl ExactSizeIterator<Item = &EdgeFailure> {
         self.oldest_first.iter().rev().map(|failure| &**failure)
     }
 
-    /// All of them, to be stored: added again in this order, they are the same.
+    /// All failures, to be stored. If they are added again in this order, the result is equal.
     pub fn oldest_first(&self) -> impl ExactSizeIterator<Item = &EdgeFailure> {
         self.oldest_first.iter().map(|failure| &**failure)
     }
 
-    /// A node has another name.
+    /// Gives a node another name.
     pub fn rename_node(&mut self, from: &StateName, to: &StateName) {
         let is_named = |failure: &EdgeFailure| [&failure.edge.from, &failure.edge.to].contains(&from);
         if !self.oldest_first().any(is_named) {

@@ -1,14 +1,15 @@
-//! The nightly update: the work that it takes along and the result that it brings back.
+//! The nightly update: the data that it takes along and the result that it returns.
 //!
-//! 1. The writer logs [`UpdateStart`]. Its log position fixes which observations the update takes: those at earlier
-//!    positions with a time before the cut. A cut never goes back.
+//! 1. The writer logs [`UpdateStart`]. Its log position determines which observations the update takes: those at
+//!    earlier positions with a time before the cut. A cut never goes back.
 //! 2. When the start is durable, the pending observations go into [`UpdateWork`], with a copy of the live values at
 //!    that position. The map continues to change meanwhile.
-//! 3. Per state and local day, in order of time: what the model as it was before the day finds unusual of the day is
-//!    kept (`anomaly/learned.rs`). It predicts every observation that is newer than all it knows, with each order 0 to
-//!    15. The errors join the decayed sums, the order with the lowest sum is chosen, then the day is learned and the
-//!    model trained again. Older observations are learned without a score. The alternative models that the map enables
-//!    are scored alike; `auto` changes only to one that is lower by 5 %.
+//! 3. For each state and local day, in order of time: the observations of the day that are unusual by the model from
+//!    before the day are kept (`anomaly/learned.rs`). The model predicts every observation that is newer than all it
+//!    has learned, with each order 0 to 15. The errors are added to the decayed sums, the order with the lowest sum is
+//!    chosen, then the day is learned and the model trained again. Older observations are learned without a score. The
+//!    alternative models that the map enables are scored in the same way; `auto` changes only to a model whose error is
+//!    lower by 5 %.
 //! 4. After each day, models that need training data are trained again where they are due (`training.rs`), so that the
 //!    map does not depend on how many days one update takes (`update/daily_steps.rs`).
 //! 5. The writer publishes the generation, and a snapshot goes to the store. If saving fails, the log still has
@@ -17,8 +18,8 @@
 //! An update that was killed runs again from the same log position. It keeps no journal: a day of a grid of 213,000
 //! cells takes 1.2 s on one thread (BENCHMARKS.md), a hundred times as many cells two minutes.
 //!
-//! Invariant: the work holds all that it needs; the result depends on nothing but the work and the readings that it is
-//! given. States are processed independently of each other.
+//! Invariant: the work holds all that it needs; the result depends only on the work and the readings that it is given.
+//! States are processed independently of each other.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -59,11 +60,12 @@ pub use late_rows::LateRowsOutcome;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
 
-/// Maximum number of readings that rows of changes and events stand for in one update, but for those of one local day:
-/// about half a minute's work. A part of what an update is, and no setting: a repeated update must learn the same.
+/// Maximum number of readings that rows of changes and events represent in one update, except the readings of one local
+/// day: about half a minute's work. The number is part of the definition of an update, and not a setting: a repeated
+/// update must learn the same data.
 pub const UPDATE_READINGS_MAX: u64 = 4_000_000;
 
-/// What an update learns from cannot be read back from the disk.
+/// Sums that an update needs cannot be read back from the disk.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SumsUnavailable {
     /// A tile of the grid.
@@ -79,7 +81,7 @@ pub enum SumsUnavailable {
     },
 }
 
-/// The map at the update's log position, but for its models.
+/// The map at the update's log position, except its models.
 #[derive(Debug)]
 pub(crate) struct MapAtUpdate {
     pub(crate) start: UpdateStart,
@@ -101,18 +103,19 @@ pub struct UpdateWork {
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) prior_models: PriorModels,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
-    /// Of each entry of `samples`.
+    /// The origins of the observations of each entry of `samples`.
     pub(crate) origins: Vec<Origins>,
-    /// Of each state that reports changes or events: where its rows are known to be complete, nanoseconds UTC.
+    /// For each state that reports changes or events: the time up to which its rows are known to be complete,
+    /// nanoseconds UTC.
     pub(crate) horizons: BTreeMap<StateId, i64>,
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
     pub(crate) room: Option<SpectrumRoom>,
-    /// Maximum number of readings that rows stand for, but for those of one local day.
+    /// Maximum number of readings that rows represent, except the readings of one local day.
     pub(crate) readings_max: u64,
 }
 
-/// What an update learned.
+/// The result of an update.
 #[derive(Debug)]
 pub struct UpdateResult {
     pub(crate) basis: MapAtUpdate,
@@ -126,19 +129,19 @@ pub struct UpdateResult {
     rows_to_nanos: Option<i64>,
 }
 
-/// What an update did to one state.
+/// The outcome of an update for one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateOutcome {
     /// The name of the state.
     pub name: StateName,
     /// Orders, errors and counts.
     pub outcome: UpdateOutcome,
-    /// The model that predicts it from now on.
+    /// The model that predicts the state from now on.
     pub chosen: ModelSelector,
 }
 
 impl UpdateWork {
-    /// How the log holds its start.
+    /// The start of the update, as in the log.
     pub fn start(&self) -> UpdateStart {
         self.basis.start
     }
@@ -155,18 +158,19 @@ impl UpdateWork {
         self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
     }
 
-    /// This update, with what earlier updates have learned, so that models are trained again where they are due.
-    /// Without it they stay as they are. A repeated update must be given the same readings as the first time.
+    /// This update, with the readings that earlier updates have learned, so that models are trained again where they
+    /// are due. Without these readings, models stay unchanged. A repeated update must be given the same readings as the
+    /// first time.
     pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
 
-    /// This update with a limit of the memory for sums of states; without it all that it learns stays in memory.
+    /// This update with a limit of the memory for sums of states; without a limit all sums stay in memory.
     pub fn with_room(self, room: SpectrumRoom) -> UpdateWork {
         UpdateWork { room: Some(room), ..self }
     }
 
-    /// This update with another maximum number of readings that rows stand for.
+    /// This update with another maximum number of readings that rows represent.
     #[must_use]
     pub fn with_readings_max(self, readings_max: u64) -> UpdateWork {
         UpdateWork { readings_max, ..self }
@@ -179,8 +183,8 @@ impl UpdateWork {
         self
     }
 
-    /// Runs the update, on the threads of the rayon pool that this is called in. `pace` counts the states and tiles
-    /// done; a tile that was seen on several days is done in as many parts.
+    /// Runs the update on the threads of the current rayon pool. `pace` counts the states and tiles done; a tile that
+    /// was seen on several days is done in as many parts.
     ///
     /// # Errors
     /// [`SumsUnavailable`] where a tile of the grid or the sums of a state cannot be read back from the disk.
@@ -208,10 +212,10 @@ impl UpdateWork {
             origins.is_early = is_early;
         }
         let room = RoomInUse::new(self.room, &models);
-        // History keeps them in order of arrival.
+        // History keeps the samples in order of arrival.
         history.states.iter_mut().for_each(|(_, samples)| samples.shrink_to_fit());
         let readings = self.readings.as_deref();
-        // As history is deleted: an import may be far ahead of what updates have learned.
+        // The time is limited as in the deletion of history: an import may be far in advance of the learned data.
         let learned_nanos = self.basis.newest_nanos.min(self.basis.start.cut_nanos);
         let late_rows = LateRows::new(&self.spec, &self.prior_models, learned_nanos);
         let (anew, late_rows) = late_rows.begin(&history.states, &mut models, readings);
@@ -222,7 +226,7 @@ impl UpdateWork {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }
         })?;
-        // After models were trained again, which may change the choice.
+        // The choice is read after models were trained again, which may change it.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
             let model = &models[id.0 as usize];
             let chosen = ModelSelector::of_choice(model.answers(), model);
@@ -240,28 +244,28 @@ impl UpdateWork {
 }
 
 impl UpdateResult {
-    /// What was done to each state that had observations, in order of first appearance.
+    /// The outcomes of the states that had observations, in order of first appearance.
     pub fn outcomes(&self) -> &[StateOutcome] {
         &self.outcomes
     }
 
-    /// What became of the models that were due.
+    /// The outcome of the training of models that were due.
     pub fn training_outcome(&self) -> &TrainingOutcome {
         &self.training
     }
 
-    /// What became of the states whose rows of changes or events came late.
+    /// The outcome for the states whose rows of changes or events came late.
     pub fn late_rows_outcome(&self) -> &LateRowsOutcome {
         &self.late_rows
     }
 
-    /// The local midnight up to which rows of changes and events are learned, nanoseconds UTC: all that they stand for
-    /// was too much for one update, and the next is due at once. `None`: all are learned.
+    /// The local midnight up to which rows of changes and events are learned, nanoseconds UTC: all rows together
+    /// represent too many readings for one update, and the next update is due at once. `None`: all are learned.
     pub fn rows_to_nanos(&self) -> Option<i64> {
         self.rows_to_nanos
     }
 
-    /// What was done to the cells of the grid, where the map has one.
+    /// The outcome for the cells of the grid, where the map has one.
     pub fn grid_outcome(&self) -> Option<&GridOutcome> {
         self.grid.as_ref().map(|grid| &grid.outcome)
     }

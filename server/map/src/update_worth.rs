@@ -1,4 +1,4 @@
-//! Whether an update of a map is worth it, from an extract of what is pending.
+//! Judges whether an update of a map is worth it, from an extract of the pending observations.
 //!
 //! Invariant: only readings that the view's generation has not learned are judged.
 
@@ -10,8 +10,8 @@ use crate::{history::Reading, ids::StateId, row_samples::AskedReadings, view::Ma
 mod tests;
 
 impl MapView {
-    /// What learning pending observations of states is expected to gain, for all of these states together: see
-    /// [`UpdateWorth`]. At most `readings_max` readings of a state are judged, because rows of changes stand for many.
+    /// The expected gain from learning pending observations of states, for all of these states together: see
+    /// [`UpdateWorth`]. At most `readings_max` readings of a state are judged, because rows of changes represent many.
     #[must_use]
     pub fn update_worth(&self, pending: Vec<(StateId, Vec<Reading>)>, readings_max: usize) -> UpdateWorth {
         let asked = AskedReadings { within_nanos: i64::MIN..i64::MAX, at_most: readings_max };

@@ -1,4 +1,4 @@
-//! The immutable picture of a map that queries read.
+//! The immutable view of a map that queries read.
 //!
 //! Invariant: a view never changes. It is complete up to one log position: every observation acknowledged before the
 //! view was taken counts in it.
@@ -23,7 +23,7 @@ use crate::{
 /// Live values are copied on publication in pieces of this many states.
 pub(crate) const LIVE_CHUNK: usize = 128;
 
-/// An immutable picture of a map.
+/// An immutable view of a map.
 #[derive(Clone, Debug)]
 pub struct MapView {
     pub(crate) spec: Arc<MapSpec>,
@@ -38,7 +38,7 @@ pub struct MapView {
     pub(crate) newest_nanos: i64,
     /// Whether any state reports changes or events.
     pub(crate) has_rows: bool,
-    /// When it is looked at, if that is known.
+    /// The time for which the view is evaluated, if it is known.
     pub(crate) now_nanos: Option<i64>,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<Arc<[LiveState]>>,
@@ -59,7 +59,7 @@ impl MapView {
         self.grid.as_ref()
     }
 
-    /// The site: what people and robots tell the map besides observations.
+    /// The site: the data that people and robots give the map besides observations.
     pub fn site(&self) -> &Site {
         &self.site
     }
@@ -89,24 +89,24 @@ impl MapView {
         self.pending
     }
 
-    /// Those of them that are rows of changes or events for which the update that took them had no room: they stand for
-    /// too many readings. The next update learns more of them.
+    /// Pending rows of changes or events for which the update that took them had no room: they represent too many
+    /// readings. The next update learns more of them.
     pub fn waiting_rows(&self) -> u64 {
         self.waiting_rows
     }
 
-    /// Those of them that wait because their time is more than
-    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) ahead of the clock.
+    /// Pending observations that wait because their time is more than
+    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) later than the clock.
     pub fn ahead(&self) -> u64 {
         self.ahead
     }
 
-    /// Whether what a state is now depends on the time of now: some report changes or events.
+    /// Whether the current value of a state depends on the current time: some states report changes or events.
     pub fn depends_on_now(&self) -> bool {
         self.has_rows
     }
 
-    /// This view as it is at a time: values that were reported as changes hold up to then.
+    /// This view evaluated for a time: values that were reported as changes hold up to that time.
     #[must_use]
     pub fn as_of(&self, now_nanos: i64) -> MapView {
         MapView { now_nanos: Some(now_nanos), ..self.clone() }
@@ -127,7 +127,7 @@ impl MapView {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the id of its state, or of its first axis or label.
+    /// The shape of the observations of a name, with the id of its state, or of its first axis or label.
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
     }
@@ -154,8 +154,8 @@ impl MapView {
         self.directory.iter()
     }
 
-    /// Last value, persistence and number of observations of a state: as its newest row, where it reports changes or
-    /// events, says that it is now.
+    /// Last value, persistence and number of observations of a state. If the state reports changes or events, the
+    /// current value follows from its newest row.
     pub fn live(&self, id: StateId) -> LiveState {
         let live = self.as_observed(id);
         match self.info(id) {
@@ -164,7 +164,7 @@ impl MapView {
         }
     }
 
-    /// Last value, persistence and number of observations of a state as its observations left it.
+    /// Last value, persistence and number of observations of a state by its observations alone.
     pub fn as_observed(&self, id: StateId) -> LiveState {
         let index = id.0 as usize;
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
@@ -180,7 +180,7 @@ impl MapView {
         self.info(id).map_or_else(StateKind::default, |info| info.kind)
     }
 
-    /// The model of a state from the last update; the prior model before its first.
+    /// The model of a state from the last update; the prior model before the state's first update.
     pub fn model(&self, id: StateId) -> &StateModel {
         self.models.get(id.0 as usize).unwrap_or_else(|| self.prior_models.of(self.kind(id)))
     }

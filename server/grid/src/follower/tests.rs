@@ -1,4 +1,4 @@
-//! Followed cells against all cells of every scan.
+//! Compares followed cells with all cells of every scan.
 
 use proptest::prelude::*;
 
@@ -7,10 +7,10 @@ use crate::tests::{HOUR, apply, empty};
 
 const TILES: u32 = 3;
 
-/// A scan: which tiles it sees, and of some cells of a tile whether they are observed and occupied.
+/// A scan: the tiles that it sees, and for some cells of a tile whether they are observed and occupied.
 type Drawn = ([bool; TILES as usize], Vec<(u32, u16, bool, bool)>);
 
-/// The scan as it is logged; changes what the tiles show.
+/// The scan as it is logged; changes the current masks of the tiles.
 fn logged(number: usize, (seen, cells): &Drawn, shown: &mut [[Mask; 2]]) -> LoggedScan {
     let seen: Arc<[TileId]> = (0..TILES).filter(|&tile| seen[tile as usize]).map(TileId).collect();
     let mut flips = [const { Vec::new() }; 2];

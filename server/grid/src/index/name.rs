@@ -1,6 +1,6 @@
-//! Cells by name, as people write them: `cell/X/Y/Z`, the index along each axis.
+//! Names of cells, as people write them: `cell/X/Y/Z`, the index along each axis.
 //!
-//! Invariant: there is one name for each cell, and a name reads back as the cell that it was written from.
+//! Invariant: there is one name for each cell, and reading a name gives the cell that it was written from.
 
 use super::{CellIndex, TILE_EDGE, TILE_LIMIT};
 
@@ -8,10 +8,10 @@ use super::{CellIndex, TILE_EDGE, TILE_LIMIT};
 const CELL_MIN: i32 = -TILE_LIMIT * TILE_EDGE;
 /// Maximum index of a cell along an axis.
 const CELL_MAX: i32 = TILE_LIMIT * TILE_EDGE - 1;
-/// Characters of an invalid name that are shown.
+/// Maximum number of characters of an invalid name that are shown.
 const SHOWN_CHARS_MAX: usize = 40;
 
-/// A name that starts like a cell's and is invalid. The payload is the name, shortened and escaped for display.
+/// A name that starts like a cell's name and is invalid. The payload is the name, shortened and escaped for display.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_MIN} to {CELL_MAX}")]
 pub struct InvalidCellName(String);
@@ -20,12 +20,12 @@ impl CellIndex {
     /// The cell of a name `cell/X/Y/Z`; `None` for a name that does not begin with `cell/`.
     ///
     /// # Errors
-    /// [`InvalidCellName`] where what follows is not three indices as [`CellIndex::name`] writes them.
+    /// [`InvalidCellName`] where the rest of the name is not three indices as [`CellIndex::name`] writes them.
     pub fn from_name(name: &str) -> Option<Result<CellIndex, InvalidCellName>> {
         let parts = name.strip_prefix("cell/")?;
         let mut indices = parts.splitn(4, '/').map(|part| {
             let index = part.parse::<i32>().ok()?;
-            // One name for one cell: no +1, 01 or -0.
+            // A cell has one name only: +1, 01 and -0 are refused.
             let is_plain = part.len() == index.to_string().len() && !part.starts_with('+');
             Some(index).filter(|index| is_plain && (CELL_MIN..=CELL_MAX).contains(index))
         });

@@ -1,6 +1,6 @@
-//! What an update takes from a grid: the scans before its cut, including those that waited for their time.
+//! Takes the scans for an update from a grid: the scans before its cut, including scans that waited for their time.
 //!
-//! Invariant: a scan is pending exactly if every update since has had a cut at or before its time.
+//! Invariant: a scan is pending exactly if the cut of every update since its arrival was at or before the scan's time.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ impl LiveGrid {
     }
 
     /// Takes the pending scans before an instant, by day, ascending. Scans whose waiting time is over join; also
-    /// returns the latest time of those.
+    /// returns the latest time of the scans that join.
     pub(super) fn take_before(&mut self, cut_nanos: i64) -> (Vec<GridDay>, Option<i64>) {
         let (due, future): (Vec<FutureScan>, Vec<FutureScan>) =
             std::mem::take(&mut self.future).into_iter().partition(|scan| scan.time.utc_nanos < cut_nanos);
@@ -47,7 +47,7 @@ impl LiveGrid {
         (taken, newest)
     }
 
-    /// Applies scans whose time has come. From here on they are like all others. No run continues.
+    /// Applies scans whose time has come. From here on they are treated like all other scans. No run continues.
     fn join(&mut self, mut due: Vec<FutureScan>) {
         due.sort_by_key(|scan| scan.time.utc_nanos);
         for scan in due {

@@ -1,10 +1,10 @@
-//! Applying logged scans to a grid: only what each one changes.
+//! Applies logged scans to a grid. The work follows the changes of each scan.
 //!
 //! Consecutive scans, each newer than the one before, that saw the same tiles with the same sensor, form a run. A tile
 //! of the run is touched only by scans that flip one of its bits.
 //!
-//! Invariant: during a run, each of its tiles has shown its `arrival` masks since the scan of the run that last flipped
-//! them.
+//! Invariant: during a run, the masks of each of its tiles have been equal to its `arrival` masks since the scan of the
+//! run that last flipped one of their bits.
 
 use std::{collections::HashSet, sync::Arc};
 
@@ -23,22 +23,22 @@ use super::{
     LiveGrid, Previous,
 };
 
-/// Why scans cannot follow those before in the log.
+/// The reason why scans cannot follow the earlier scans in the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidScans {
     /// There would be more tiles than can be numbered.
     #[error("there are too many tiles")]
     TooManyTiles,
-    /// A tile that is said to be new is known, named twice, or outside the limits of indices.
+    /// A tile that is stated to be new already exists, is named twice, or is outside the limits of indices.
     #[error("a tile is not new")]
     TileNotNew,
-    /// The tiles that a scan saw are not in their order.
+    /// The tiles that a scan saw are not ascending.
     #[error("the tiles of a scan do not ascend")]
     TilesNotAscending,
     /// A scan saw a tile that has no number.
     #[error("a tile is unknown")]
     UnknownTile,
-    /// The cells that a scan flips are not in their order.
+    /// The cells that a scan flips are not ascending.
     #[error("the cells of a scan do not ascend")]
     CellsNotAscending,
     /// A scan flips a cell of a tile that it did not see.
@@ -61,7 +61,7 @@ impl ScanFlips<'_> {
         }
     }
 
-    /// The masks of that tile after its flips, and the change in the number of observed cells.
+    /// The masks of the next tile after its flips, and the change in the number of observed cells.
     fn flip(&mut self, tile: TileId, masks: TileMasks) -> (TileMasks, i64) {
         let (mut observed, mut occupied, mut more) = (masks.observed(), masks.occupied(), 0);
         while let Some((cell, rest)) = self.observed.split_first().filter(|(cell, _)| cell.tile() == tile) {
@@ -77,14 +77,14 @@ impl ScanFlips<'_> {
     }
 }
 
-/// Whether a tile is among ascending tiles; found at once if none is left out.
+/// Whether a tile is among ascending tiles. Found in one step if no tile number is left out.
 fn is_among(seen: &[TileId], tile: TileId) -> bool {
     let place = seen.first().map_or(0, |first| tile.0.wrapping_sub(first.0) as usize);
     seen.get(place) == Some(&tile) || seen.binary_search(&tile).is_ok()
 }
 
 impl LiveGrid {
-    /// Checks that scans are consistent with those before; changes nothing.
+    /// Checks that scans are consistent with the earlier scans; changes nothing.
     ///
     /// # Errors
     /// [`InvalidScans`], if they cannot follow in the log.
@@ -124,7 +124,7 @@ impl LiveGrid {
     }
 
     /// Applies scans that [`LiveGrid::check`] has accepted, made with this sensor. Scans later than `plausible_nanos`
-    /// wait. Returns the latest time of those that do not.
+    /// wait. Returns the latest time of the scans that do not wait.
     pub fn apply(&mut self, event: &Scans, sensor: Option<ProducerSensor>, plausible_nanos: i64) -> Option<i64> {
         let sensor = self.sensors.find(sensor).unwrap_or_default();
         for &index in &event.new_tiles {
@@ -155,7 +155,7 @@ impl LiveGrid {
             self.cell_observations += tiles.iter().map(|(_, masks)| u64::from(masks.observed().count())).sum::<u64>();
             self.future_tiles += tiles.len() as u64;
             self.future.push(FutureScan { time, tiles });
-            // What its tiles show now is in no day and in no last value.
+            // The current masks of the tiles of a scan that waits are in no day and in no last value.
             self.previous = None;
             self.end_run();
             return false;
@@ -192,8 +192,8 @@ impl LiveGrid {
         }
     }
 
-    /// Applies a scan of the same day, newer than the one before and with the same tiles: tiles without flips show what
-    /// they showed in that one. Returns the change in the number of observed cells.
+    /// Applies a scan of the same day, newer than the scan before and with the same tiles: tiles without flips have the
+    /// same masks as in the scan before. Returns the change in the number of observed cells.
     fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: ScanFlips<'_>) -> i64 {
         let run = self.run;
         let next = ScanRun { count: run.count + 1, newest_nanos: time.utc_nanos };
@@ -239,8 +239,8 @@ impl LiveGrid {
         }
     }
 
-    /// Applies what a scan saw of a settled tile to its last values and persistence. Returns whether the scan is newer
-    /// than all earlier ones of the tile.
+    /// Applies the masks of a settled tile in a scan to the tile's last values and persistence. Returns whether the
+    /// scan is newer than all earlier scans of the tile.
     pub(super) fn show_tile(&mut self, id: TileId, time: ScanTime, masks: TileMasks) -> bool {
         let Some(tile) = self.tiles.get_mut(id.0 as usize) else { return true };
         let is_newer = tile.is_newer(time.utc_nanos);
@@ -254,7 +254,7 @@ impl LiveGrid {
         is_newer
     }
 
-    /// Ends the run: its tiles are brought up to date.
+    /// Ends the run and brings its tiles up to date.
     pub(super) fn end_run(&mut self) {
         let Some(seen) = self.run_seen.take() else { return };
         for &id in seen.iter() {

@@ -1,4 +1,4 @@
-//! Scans that cannot follow those before.
+//! Tests scans that cannot follow the earlier scans.
 
 use super::*;
 use crate::{

@@ -1,4 +1,4 @@
-//! What streams may do to the front; that scans come out as they went in is tested with the whole grid.
+//! Tests the effect of streams on the log head. The tests of the whole grid check that scans come out as they went in.
 
 use super::*;
 use crate::tests::empty;
@@ -22,7 +22,7 @@ fn a_tile_twice_in_a_table_is_one_tile_of_the_scan() {
     let grid = &empty();
     let (mut front, mut source) = (LogHead::new(grid), source(&[TILE, TILE]));
     let both = Arc::from([0, 1]);
-    // The second slot has the last word where both are said to differ.
+    // The second slot wins where the masks of the two slots differ.
     for (observed, expected) in [(&[0, 5, 512][..], &[0][..]), (&[519], &[7]), (&[512, 519, 520], &[0, 7, 8])] {
         let taken = front.take(grid, 1, &mut source, &scan(&both, observed, &[]), 0, 9).expect("room");
         let cells: Vec<u32> = taken.scan.observed_flips.iter().map(|cell| cell.0).collect();
@@ -40,7 +40,7 @@ fn flips_of_tiles_that_were_not_seen_are_not_handed_on() {
     front.take(grid, 1, &mut source, &scan(&one, &[], &[]), 0, 9).expect("room");
     let taken = front.take(grid, 1, &mut source, &scan(&one, &[4, 600], &[4, 9000]), 0, 9).expect("room");
     assert_eq!((taken.scan.seen, taken.scan.observed_flips.len(), taken.scan.occupied_flips.len()), (None, 1, 1));
-    // They show when the tile is seen again.
+    // The flips appear when the tile is seen again.
     let taken = front.take(grid, 1, &mut source, &scan(&both, &[], &[]), 0, 9).expect("room");
     assert_eq!(taken.scan.observed_flips, [CellRef(88 + 512 * taken.scan.observed_flips[0].tile().0)]);
 }

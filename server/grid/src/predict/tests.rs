@@ -1,4 +1,4 @@
-//! That an answer about a grid says of each cell what [`GridView::predict_tile`] says, and of no other cell anything.
+//! An answer about a grid contains, for each cell, the prediction of [`GridView::predict_tile`], and no other cell.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -20,15 +20,15 @@ use crate::{
 
 const HOUR: i64 = 3_600_000_000_000;
 
-/// One tile: what was learned and what was seen since.
+/// One tile: the learned data, and the readings since.
 #[derive(Clone, Debug)]
 struct Tile {
     learned: Mask,
     always: Mask,
     cells: Vec<(u16, u8, f64, f64)>,
-    /// What was observed and occupied, and with which sensor.
+    /// The observed and occupied cells of each scan, and its sensor.
     seen: Vec<(Mask, Mask, u8)>,
-    /// How many of the readings that were learned are of another sensor.
+    /// The number of learned readings that are of another sensor.
     learned_others: Option<u8>,
 }
 
@@ -102,7 +102,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
             sensors: weights,
         })));
         let mut seen = LiveTile::new(*index);
-        // What was learned was seen, as its models have it or otherwise.
+        // The learned readings were also seen, with the values in the models or with other values.
         let time = |scan: i64, sensor: u8| ScanTime {
             utc_nanos: scan * HOUR,
             offset_secs: 0,
@@ -146,7 +146,7 @@ fn naive(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, b
     cells
 }
 
-/// What the answer says of each known cell: its value, and whether it has changed.
+/// The value of each known cell in the answer, and whether it has changed.
 fn answer_cells(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, bool)> {
     let selection = grid.select(question);
     let levels = grid.levels();
@@ -297,7 +297,7 @@ fn a_picture_has_the_size_of_what_is_known_and_of_what_was_shown() {
     let mut grid = view(&[(at(0, 0), tile(Mask::EMPTY))], SensorNoise::default(), 0, false);
     let known = CellBox { min: cell(2, 3, 0), max: cell(6, 5, 2) };
     assert_eq!(grid.region(), known, "the cells that were seen");
-    // Four columns, two rows and two layers.
+    // The region has four columns, two rows and two layers.
     assert_eq!((select(&grid, None).region, select(&grid, None).cells), (known, 16));
     grid.shown = CellBox { min: cell(-30, 0, 0), max: cell(5, 40, 1) };
     let both = CellBox { min: cell(-30, 0, 0), max: cell(6, 40, 2) };

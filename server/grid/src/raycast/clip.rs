@@ -1,8 +1,8 @@
 //! The part of a ray that lies within a box, in cells.
 //!
-//! Invariant: the end of a ray that lies within the box keeps its cell, the one that
-//! [`GridSpec::cell_at`](crate::spec::GridSpec::cell_at) names. Both ends of what is left lie within the box,
-//! borders included, and so do their cells, however far away the ray's own ends are.
+//! Invariant: the end of a ray that lies within the box keeps its cell, which is the result of
+//! [`GridSpec::cell_at`](crate::spec::GridSpec::cell_at). Both ends of the clipped ray lie within the box, borders
+//! included, and so do their cells, however far away the ray's own ends are.
 
 use super::super::index::CellBox;
 
@@ -17,11 +17,11 @@ pub(super) struct Clipped {
     pub start: [f64; 3],
     /// Where it ends, in cells.
     pub end: [f64; 3],
-    /// Whether its end is that of the ray, and not where the ray leaves the box.
+    /// Whether the end is the end of the ray, and not the place where the ray leaves the box.
     pub is_whole: bool,
 }
 
-/// Where a ray crosses the box's surface: how far along it, 0 to 1, and the axis of the side.
+/// The place where a ray crosses the box's surface: the fraction of the ray's length, 0 to 1, and the axis of the side.
 type Passage = Option<(f64, usize)>;
 
 /// Cuts the ray from `start` to `end`, both in cells from the grid's origin, to the cells of a box.

@@ -1,4 +1,4 @@
-//! The traversal against a dense sampler, and the edges of rays, grids and limits.
+//! Compares the traversal with a dense sampler, and tests edge cases of rays, grids and limits.
 
 use std::collections::BTreeSet;
 
@@ -63,7 +63,7 @@ fn rays_of_no_length_and_along_borders_end_where_they_should() {
     let (free, occupied) = cast_cells(&unit(), &points(at([0.5; 3]), &[[0.0; 3], [0.25, 0.0, 0.0]]));
     assert!(free.is_empty());
     assert_eq!(occupied, line(&[(0, 0, 0)]));
-    // On the border between cells, which belongs to the upper one.
+    // The end lies on the border between cells, which belongs to the upper cell.
     let (free, occupied) = cast_cells(&unit(), &points(at([1.0, 2.0, 3.0]), &[[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]));
     assert_eq!(free, line(&[(0, 2, 3), (1, 2, 3), (2, 2, 3)]));
     assert_eq!(occupied, line(&[(3, 2, 3), (-1, 2, 3)]));
@@ -189,7 +189,7 @@ proptest! {
         let end_cell: Cells = allowed.contains(end).then_some((end.x, end.y, end.z)).into_iter().collect();
         prop_assert_eq!(&occupied, &end_cell);
         let seen: Cells = free.union(&occupied).copied().collect();
-        // Every sample that lies clearly inside a cell of the extent lies in one that was seen.
+        // Every sample that lies clearly inside a cell of the extent lies in a cell that was seen.
         for sample in 0..=2000 {
             let place = place(f64::from(sample) / 2000.0);
             let cell = spec.cell_at(place).expect("near");
@@ -200,7 +200,7 @@ proptest! {
                 prop_assert!(seen.contains(&(cell.x, cell.y, cell.z)), "{cell:?} was passed");
             }
         }
-        // Nothing else was seen.
+        // No other cell was seen.
         for &cell in &seen {
             let is_allowed = allowed.contains(CellIndex { x: cell.0, y: cell.1, z: cell.2 });
             prop_assert!(is_allowed);

@@ -1,7 +1,7 @@
 //! Traversal of rays that start at one place, and the tiles that they pass.
 //!
-//! Invariant: a ray takes as many steps along each axis as its end's cell is away from its start's, so that it ends in
-//! that cell whatever is rounded on the way.
+//! Invariant: a ray takes as many steps along each axis as its end's cell is away from its start's cell, so that it
+//! ends in that cell in spite of rounding on the way.
 
 use std::{collections::HashMap, hint::select_unpredictable};
 
@@ -37,7 +37,7 @@ fn fixed(along: f64) -> u64 {
     (along * ONE).clamp(0.0, 2.0 * ONE) as u64
 }
 
-/// Where along a ray the borders of one axis are crossed.
+/// The positions along a ray at which the borders of one axis are crossed.
 #[derive(Clone, Copy)]
 struct Borders {
     next: u64,
@@ -76,12 +76,12 @@ pub(super) struct Walk<'a> {
     spec: &'a GridSpec,
     allowed: CellBox,
     position_m: [f64; 3],
-    /// Of the sensor, in cells from the grid's origin.
+    /// The position of the sensor, in cells from the grid's origin.
     start: [f64; 3],
     limits: CastLimits,
     cells: u64,
     tiles: Vec<Tile>,
-    /// Per tile its neighbours, down and up along each axis.
+    /// The neighbours of each tile, down and up along each axis.
     links: Vec<[u32; 6]>,
     ids: HashMap<TileIndex, u32>,
     /// The tile in which a ray began last.
@@ -106,7 +106,7 @@ impl<'a> Walk<'a> {
         walk
     }
 
-    /// A place of the map in cells from the grid's origin.
+    /// A position of the map in cells from the grid's origin.
     fn in_cells(&self, place_m: [f64; 3]) -> [f64; 3] {
         let mut place = std::array::from_fn(|axis| (place_m[axis] - self.spec.origin_m[axis]) / self.spec.resolution_m);
         if self.spec.is_flat {
@@ -115,7 +115,8 @@ impl<'a> Walk<'a> {
         place
     }
 
-    /// Adds a ray: its end, relative to the sensor in the map's directions, and whether it hit something.
+    /// Adds a ray. `along_m` is its end, relative to the sensor in the map's directions; `is_hit`: whether it hit
+    /// something.
     pub(super) fn ray(&mut self, number: usize, along_m: [f64; 3], is_hit: bool) -> Result<(), CastError> {
         let end = self.in_cells(std::array::from_fn(|axis| self.position_m[axis] + along_m[axis]));
         let Some(clipped) = clip(&self.allowed, self.start, end) else { return Ok(()) };
@@ -137,12 +138,12 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Frees the cells of a ray except the last, and returns that: its tile and its place there.
+    /// Frees the cells of a ray except the last, and returns the last cell as its tile and its place there.
     fn pass(&mut self, clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
         let Clipped { from, to, start, end, .. } = *clipped;
         let (index, place) = CellIndex { x: from[0], y: from[1], z: from[2] }.tile();
         let mut tile = self.first_tile(index)?;
-        // Mirrored along the axes on which the ray descends, so that every step ascends.
+        // The place is mirrored along the axes on which the ray descends, so that every step ascends.
         let mirror = (0..3).filter(|&axis| to[axis] < from[axis]).fold(0, |mirror, axis| mirror | FIELDS[axis]);
         let mut place = spread(place) ^ mirror;
         let [one, two, three] = std::array::from_fn(|axis| {
@@ -155,7 +156,7 @@ impl<'a> Walk<'a> {
         for _ in 0..steps {
             let real = place ^ mirror;
             free[(real >> 8 & 7) as usize] |= 1 << (real & 7 | real >> 1 & 0o70);
-            // No branches: which border comes next is unpredictable.
+            // The code avoids branches: which border comes next is unpredictable.
             let is_two = next[1] < next[0];
             let is_three = next[2] < select_unpredictable(is_two, next[1], next[0]);
             let is = [!is_two & !is_three, is_two & !is_three, is_three];
@@ -216,7 +217,7 @@ impl<'a> Walk<'a> {
         Ok(number)
     }
 
-    /// The result, ascending by tile.
+    /// The tiles with their masks, ascending by tile.
     pub(super) fn into_tiles(self) -> Vec<(TileIndex, TileMasks)> {
         let mut tiles: Vec<(TileIndex, TileMasks)> = self.tiles.iter().map(|tile| (tile.index, tile.masks())).collect();
         tiles.sort_unstable_by_key(|(index, _)| *index);

@@ -11,14 +11,14 @@ use std::sync::{
 use super::{super::day::GridDay, pattern::Pattern, rules::Rules, tile_day::BusyTile};
 use crate::pace::Pace;
 
-/// Work of a batch: cells times scans, at about 4 ns each.
+/// Work of a batch, in cells times scans, at about 4 ns each.
 const BATCH_WORK: usize = 1_000_000_000;
 
 /// Some tiles of a pattern.
 pub(super) struct Batch {
     pattern: Arc<Pattern>,
     tiles: Vec<BusyTile>,
-    /// Cells of the tiles with a spectrum, and one for each tile.
+    /// The number of cells of the tiles with a spectrum, plus one for each tile.
     cells: usize,
     cells_max: usize,
 }
@@ -31,7 +31,7 @@ impl Batch {
         Batch { pattern, tiles: Vec::new(), cells: 0, cells_max }
     }
 
-    /// Whether it should get no more tiles.
+    /// Whether the batch should get no more tiles.
     pub(super) fn is_full(&self) -> bool {
         self.cells >= self.cells_max
     }
@@ -58,7 +58,7 @@ impl Batch {
 pub(super) struct ProgressMeter<'a> {
     pace: &'a dyn Pace,
     tiles: u64,
-    /// Days of all tiles.
+    /// Sum of the numbers of days of all tiles.
     days: u64,
     days_done: AtomicU64,
 }
@@ -69,7 +69,7 @@ impl<'a> ProgressMeter<'a> {
         ProgressMeter { pace, tiles, days, days_done: AtomicU64::new(0) }
     }
 
-    /// This many tiles are done for one more of their days.
+    /// Reports that this many tiles are done for one more of their days.
     pub(super) fn add(&self, days: usize) {
         let before = self.days_done.fetch_add(days as u64, Ordering::Relaxed);
         let part = |done: u64| u128::from(done) * u128::from(self.tiles) / u128::from(self.days.max(1));

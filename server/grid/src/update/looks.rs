@@ -1,9 +1,10 @@
-//! Scores the cells of a tile look by look: scans that no candidate period tells apart are predicted together.
+//! Scores the cells of a tile in scan blocks: scans that no candidate period can distinguish are predicted together.
 //!
-//! Local time is cut into bins of a 60th of the shortest candidate period. Scans of one bin that follow each other are
-//! a look; it is predicted at the mean time of the bin's scans. A cell's readings of a look are sums, which cells
-//! without a change in it share. Invariant: each scan counts that would count alone. A look is never cut by the pieces
-//! in which an update is done; an update that ends within a bin scores the bin in two parts.
+//! Local time is divided into short time bins of a 60th of the shortest candidate period. Consecutive scans of one time
+//! bin are a scan block (`look` in the code); it is predicted at the mean time of the bin's scans. The readings of a
+//! cell in a block are sums, which cells without a change in the block share. Invariant: a scan counts in a block
+//! exactly if it would count alone. The pieces in which an update is done never cut a block; an update that ends within
+//! a time bin scores the bin in two parts.
 
 use std::{collections::HashMap, ops::Range};
 
@@ -14,21 +15,21 @@ use super::{super::fold::Cursor, rules::Rules, shared_sums::Times};
 #[cfg(test)]
 mod tests;
 
-/// The looks of a pattern's scans on a day.
+/// The scan blocks of a pattern's scans on a day.
 #[derive(Debug)]
 pub(super) struct Looks {
-    /// The first scan of each look, and behind the last the number of scans.
+    /// The first scan of each block, followed by the number of scans.
     bounds: Vec<usize>,
-    /// When each is predicted, local civil time.
+    /// The time at which each block is predicted, local civil time.
     civil_nanos: Vec<i64>,
 }
 
 impl Looks {
-    /// The looks of scans with these local times, in their order.
+    /// The scan blocks of scans with these local times, in their order.
     pub(super) fn new(scans: &[i64], periodicities: &Periodicities) -> Looks {
         let width = periodicities.look_nanos();
         let (mut bounds, mut bins, mut before) = (Vec::new(), Vec::new(), None);
-        // By bin: the number of scans, and the sum of their times since its start.
+        // For each time bin: the number of scans, and the sum of their times since the start of the bin.
         let mut times: HashMap<i64, (i128, i128)> = HashMap::new();
         for (scan, &civil) in scans.iter().enumerate() {
             let bin = civil.div_euclid(width);
@@ -42,7 +43,7 @@ impl Looks {
             *sum += i128::from(civil.rem_euclid(width));
         }
         bounds.push(scans.len());
-        // The mean lies within the bin, whose scans have such times.
+        // The mean lies within the bin, because all its scans do.
         let mean = |&bin: &i64| {
             let within = times.get(&bin).map_or(0, |&(count, sum)| sum / count.max(1));
             bin.saturating_mul(width).saturating_add(i64::try_from(within).unwrap_or(0))
@@ -50,7 +51,7 @@ impl Looks {
         Looks { bounds, civil_nanos: bins.iter().map(mean).collect() }
     }
 
-    /// The looks in chunks, whose phasors are in memory at a time.
+    /// The blocks in chunks; the phasors of one chunk are in memory at a time.
     pub(super) fn chunks<'a>(&'a self, times: &'a Times, rules: &'a Rules) -> impl Iterator<Item = LookChunk<'a>> {
         let chunk_looks = rules.limits.chunk_scans.max(1);
         let levels = Levels {
@@ -70,7 +71,7 @@ impl Looks {
 #[derive(Clone, Copy, Debug)]
 struct Levels<'a> {
     own: (f64, f64),
-    /// Of each scan; `None` if all are of the map's own sensor.
+    /// The values of each scan; `None` if all are of the map's own sensor.
     of_scans: Option<(&'a [f64], &'a [f64])>,
 }
 
@@ -86,7 +87,7 @@ impl Levels<'_> {
     }
 }
 
-/// The readings of cells that are free, and occupied, in all looks of a chunk.
+/// The readings of free cells and of occupied cells, in all blocks of a chunk.
 #[derive(Debug, Default)]
 struct LevelReadings {
     free: ReadingSums,
@@ -99,12 +100,12 @@ impl LevelReadings {
     }
 }
 
-/// Some looks that follow each other, with their phasors.
+/// Consecutive scan blocks with their phasors.
 #[derive(Debug)]
 pub(super) struct LookChunk<'a> {
     bounds: &'a [usize],
     pub(super) phasors: PhasorTable,
-    /// Of all scans.
+    /// The times of all scans.
     utc_nanos: &'a [i64],
     levels: Levels<'a>,
     /// The readings if every scan counts.
@@ -136,18 +137,18 @@ impl<'a> LookChunk<'a> {
     }
 }
 
-/// How the cells of a group are scored on the day.
+/// The state of scoring the cells of a group on the day.
 #[derive(Debug)]
 pub(super) struct GroupScoring {
     /// Scans up to this time are not scored; `None`: nothing is scored.
     pub(super) newer_than: Option<i64>,
     /// Whether every scan of the pattern counts.
     pub(super) all: bool,
-    /// In the toggles of the group.
+    /// The position in the toggles of the group.
     pub(super) cursor: Cursor,
 }
 
-/// What the groups of a tile need while a chunk is scored.
+/// Buffers for the groups of a tile while a chunk is scored.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     /// Whether each scan of the chunk counts.
@@ -156,10 +157,10 @@ pub(super) struct Scratch {
     mixed: ReadingSums,
 }
 
-/// The readings of a group's cells in the looks of a chunk.
+/// The readings of a group's cells in the blocks of a chunk.
 pub(super) struct GroupReadings<'a> {
     chunk: &'a LookChunk<'a>,
-    /// `None`: every scan counts.
+    /// Whether each scan counts; `None`: every scan counts.
     counted: Option<&'a [bool]>,
     levels: &'a LevelReadings,
     mixed: &'a mut ReadingSums,
@@ -168,8 +169,8 @@ pub(super) struct GroupReadings<'a> {
 }
 
 impl GroupScoring {
-    /// The readings of the group's cells; `None` if none of a chunk's scans counts. `toggles`: of the group. Chunks
-    /// must be given in their order.
+    /// The readings of the group's cells; `None` if no scan of the chunk counts. `toggles`: the toggles of the group.
+    /// Chunks must be given in their order.
     pub(super) fn readings<'a>(
         &mut self,
         toggles: &[u32],
@@ -200,7 +201,7 @@ impl GroupScoring {
 }
 
 impl GroupReadings<'_> {
-    /// The readings of one of the cells, with the toggles of its occupied bit.
+    /// The readings of one of the cells; `toggles` are the toggles of its occupied bit.
     pub(super) fn of_cell(&mut self, toggles: &[u32], cursor: &mut Cursor) -> &ReadingSums {
         let (bounds, scans) = (self.chunk.bounds, self.chunk.scans());
         let next = |cursor: &Cursor| toggles.get(cursor.at).map_or(usize::MAX, |&toggle| toggle as usize);
@@ -229,7 +230,7 @@ impl GroupReadings<'_> {
 }
 
 impl Cursor {
-    /// Moves on to a scan, and says whether the bit is set there.
+    /// Moves on to a scan, and returns whether the bit is set there.
     #[inline]
     fn is_on_at(&mut self, toggles: &[u32], scan: usize) -> bool {
         while toggles.get(self.at).is_some_and(|&toggle| toggle as usize <= scan) {

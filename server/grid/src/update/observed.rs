@@ -1,5 +1,5 @@
-//! When the cells of a tile were observed on one day: cells observed alike together, and the groups of the tile split
-//! by it.
+//! The times at which the cells of a tile were observed on one day. Cells observed at the same times are kept together,
+//! and the groups of the tile are split accordingly.
 //!
 //! Invariant: times are toggles: ascending numbers of scans, among those that saw the tile, at which a bit changes; the
 //! bit is clear before the first.
@@ -11,7 +11,7 @@ use super::super::{
     tile::Group,
 };
 
-/// The toggles of cells that changed a bit within the day, and what they showed.
+/// The toggles of cells of which a bit changed within the day, and the values that they showed.
 #[derive(Debug, Default)]
 pub(super) struct DayToggles {
     /// Cells observed at the same times: the toggles of their observed bit, and the cells.
@@ -31,7 +31,7 @@ struct Compact<'a> {
 }
 
 impl Compact<'_> {
-    /// The number of a scan; asked in ascending order.
+    /// The number of a scan; called in ascending order.
     fn number(&mut self, scan: u32) -> u32 {
         while let Some(&(first, end)) = self.ranges.first() {
             if scan < end {
@@ -50,7 +50,7 @@ impl DayToggles {
         let (mut observed, mut occupied) = (tile.first.observed(), tile.first.occupied());
         let (mut ever_occupied, mut ever_free) = (occupied, observed.without(occupied));
         let mut occupied_toggles = CellToggles::starting_with(occupied);
-        // Only of cells whose observed bit flips within the day.
+        // Toggles are collected only for cells whose observed bit flips within the day.
         let mut observed_toggles = CellToggles::starting_with(Mask::EMPTY);
         for of_scan in tile.flips.chunk_by(|one, other| one.scan == other.scan) {
             let Some(first) = of_scan.first() else { continue };
@@ -92,12 +92,12 @@ impl DayToggles {
 /// The toggles of a bit by cell.
 struct CellToggles {
     of_cells: Vec<Vec<u32>>,
-    /// The cells that have any.
+    /// The cells that have toggles.
     cells: Mask,
 }
 
 impl CellToggles {
-    /// The bit is set in the first scan for these cells.
+    /// Toggles of a bit that is set in the first scan for these cells.
     fn starting_with(cells: Mask) -> CellToggles {
         let mut of_cells = vec![Vec::new(); TILE_CELLS];
         for cell in cells.cells() {
@@ -106,7 +106,7 @@ impl CellToggles {
         CellToggles { of_cells, cells }
     }
 
-    /// Adds a toggle of a cell. `was_set`: whether the bit was set before, should it be the cell's first.
+    /// Adds a toggle of a cell. `was_set`: whether the bit was set before, used for the cell's first toggle.
     fn push(&mut self, cell: u16, number: u32, was_set: bool) {
         let Some(toggles) = self.of_cells.get_mut(usize::from(cell)) else { return };
         if toggles.is_empty() && was_set {
@@ -116,7 +116,7 @@ impl CellToggles {
         self.cells.insert(cell);
     }
 
-    /// The cells that have any, ascending, with their toggles.
+    /// The cells that have toggles, ascending, with their toggles.
     fn into_cells(self) -> impl Iterator<Item = (u16, Vec<u32>)> {
         let cells = self.cells;
         (0..).zip(self.of_cells).filter(move |(cell, _)| cells.contains(*cell))
@@ -131,12 +131,12 @@ pub(super) struct SplitGroup {
     pub(super) before: Option<usize>,
     /// Index into [`DayToggles::observed`]; `None`: not observed on the day.
     pub(super) toggles: Option<usize>,
-    /// Whether its sum is whole; otherwise the tile's runs hold the rest of it.
+    /// Whether the sum of the group is whole; otherwise the tile's runs hold the rest of it.
     pub(super) is_summed: bool,
 }
 
-/// Splits the groups where their cells were observed at different times, and adds groups of new cells. Ascending by
-/// their lowest cell.
+/// Splits the groups where their cells were observed at different times, and adds groups of new cells. The result
+/// ascends by the lowest cell of each group.
 pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Vec<SplitGroup> {
     let mut alike = [None; TILE_CELLS];
     for (index, (_, cells)) in toggles.iter().enumerate() {
@@ -166,7 +166,7 @@ pub(super) fn split_groups(groups: &[Group], toggles: &[(Vec<u32>, Mask)]) -> Ve
     split
 }
 
-/// Splits groups into cells that have or get a spectrum, whose sums are whole, and others.
+/// Splits groups into cells that have or get a spectrum, whose sums are whole, and other cells.
 pub(super) fn part_by_spectrum(split: Vec<SplitGroup>, with_spectrum: Mask) -> Vec<SplitGroup> {
     let halves = |group: SplitGroup| {
         let summed = SplitGroup { cells: group.cells & with_spectrum, is_summed: true, ..group };

@@ -3,9 +3,9 @@
 //! Many tiles are processed in several batches, each of which computes the phasors and running sums of the pattern's
 //! scans again.
 //!
-//! Invariant: running sums continue from chunk to chunk, so that a run of readings costs two rows of them however many
-//! chunks it spans. The result of a tile does not depend on the others of its batch, and tiles with the same history
-//! share their sums across batches.
+//! Invariant: running sums continue from chunk to chunk, so that a run of readings costs two rows of them, however many
+//! chunks it spans. The result of a tile does not depend on the other tiles of its batch, and tiles with the same
+//! history share their sums across batches.
 
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -24,13 +24,13 @@ use super::{
 };
 use crate::pace::Pace;
 
-/// The scans that some tiles were seen by, and what these tiles share.
+/// The scans that saw some tiles, and the data that these tiles share.
 #[derive(Debug)]
 pub(super) struct Pattern {
-    /// The scans, first and end of each range.
+    /// The scans, as the first scan and the end of each range.
     ranges: Vec<(u32, u32)>,
     times: OnceLock<Times>,
-    /// Never held across parallel work: a thread that waits for others may start another batch.
+    /// The lock is never held across parallel work: a thread that waits for others may start another batch.
     gains: Mutex<Gains>,
 }
 
@@ -55,7 +55,7 @@ impl Pattern {
         let mut tiles: Vec<TileDay> = tiles
             .into_par_iter()
             .map(|tile| {
-                // Each seen tile has shown something; a default is harmless.
+                // Each seen tile has shown masks, so the default is never used.
                 let of_day = day.tile(tile.id).unwrap_or(&unseen);
                 TileDay::new(tile, (day.day, of_day), &self.ranges, times, rules)
             })

@@ -1,4 +1,4 @@
-//! What an update applies to all cells of a grid alike.
+//! The rules that an update applies to all cells of a grid alike.
 
 use std::sync::Arc;
 
@@ -15,14 +15,15 @@ use super::super::{
 pub struct UpdateLimits {
     /// Scans whose phasors are in memory at a time, 1 to 256.
     pub chunk_scans: usize,
-    /// Observation groups of a tile up to which each has its sum; with more, cells that never changed have runs.
+    /// Maximum number of observation groups of a tile with a sum for each; with more groups, cells that never changed
+    /// have runs.
     pub summed_groups_max: usize,
     /// The observation runs of a tile may take as much memory as this many sums for each group without one.
     pub runs_per_sum: usize,
-    /// A batch has no more tiles once it has this many cells, whatever its scans: the phasors of a scan cost as much as
-    /// about a hundred cells.
+    /// A batch gets no more tiles once it has this many cells, whatever the number of its scans: the phasors of a scan
+    /// cost as much as about a hundred cells.
     pub batch_cells_min: usize,
-    /// Cells of a batch at most.
+    /// Maximum number of cells of a batch.
     pub batch_cells_max: usize,
 }
 
@@ -38,13 +39,13 @@ impl Default for UpdateLimits {
     }
 }
 
-/// What all cells share.
+/// The rules that all cells share.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
     pub(crate) periodicities: Periodicities,
     pub(crate) criterion: OrderCriterion,
     pub(crate) sensors: Arc<Sensors>,
-    /// `None`: all readings count alike.
+    /// The half-life; `None`: all readings count alike.
     pub(crate) half_life: Option<HalfLife>,
     /// Values of a free and an occupied reading of the map's own sensor.
     pub(crate) levels: (f64, f64),

@@ -1,6 +1,7 @@
-//! What the tiles of a pattern share: the times of its scans, and the sums over them.
+//! The data that the tiles of a pattern share: the times of its scans, and the sums over them.
 //!
-//! Invariant: groups with the same history and the same toggles share one sum, whichever tiles and batches they are of.
+//! Invariant: groups with the same history and the same toggles share one sum, whichever tiles and batches they belong
+//! to.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -30,9 +31,9 @@ pub(super) struct Times {
     pub(super) civil_nanos: Arc<[i64]>,
     /// The scans in the order of their times; `None` if each is newer than the one before.
     pub(super) by_time: Option<Vec<u32>>,
-    /// Of each scan, the number of local hours of scans up to its time, less one.
+    /// For each scan, the number of local hours of scans up to its time, less one.
     pub(super) hours: Vec<u32>,
-    /// Of each of these hours, the kind of day and the hour of the day.
+    /// For each of these hours, the kind of day and the hour of the day.
     pub(super) kinds_and_hours: Vec<(usize, usize)>,
     /// The count for all scans.
     pub(super) all: Counted,
@@ -57,7 +58,7 @@ impl Times {
         Times::of_scans(utc_nanos, scans.iter().map(|scan| scan.civil_nanos()).collect(), all, weighted)
     }
 
-    /// `all`: the count for all of them.
+    /// Makes the times from scans; `all` is the count for all of them.
     pub(super) fn of_scans(
         utc_nanos: Vec<i64>,
         civil_nanos: Arc<[i64]>,
@@ -111,7 +112,7 @@ impl Times {
     }
 }
 
-/// How often some cells were observed on the day, and when first and last.
+/// The number of observations of some cells on the day, with the times of the first and the last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Counted {
     pub(super) observations: u64,
@@ -125,7 +126,7 @@ pub(super) struct Contribution {
     toggles: Vec<u32>,
     cursor: Cursor,
     sum: PhasorSum,
-    /// G_k and D_k, where some of the scans are of another sensor than the map's own.
+    /// The sums G_k and D_k, where some of the scans are of another sensor than the map's own.
     weighted: Option<Box<(PhasorSum, PhasorSum)>>,
 }
 
@@ -135,7 +136,7 @@ type SumKey = ([usize; 3], usize, [u64; 2]);
 /// The address of a group's earlier times, the gain, the time of the last observation, and the factors as bits.
 type TimesKey = (usize, usize, i64, [u64; 2]);
 
-/// Times, by what they contain.
+/// Times as a key, by their content.
 type TimesContent = (GapSample, u64, [[u32; 24]; 2]);
 
 /// The sums that a day adds (gains), and the results, so that groups with the same history share theirs.
@@ -144,13 +145,14 @@ pub(super) struct Gains {
     gains: Vec<GroupSums>,
     by_toggles: HashMap<Vec<u32>, usize>,
     zero: Option<Arc<PhasorSum>>,
-    /// By the address of the group's earlier sums, the gain, and their factors; the earlier sums are kept alive.
+    /// The results by the address of the group's earlier sums, the gain, and the factors; the earlier sums are kept
+    /// alive.
     shared: HashMap<SumKey, (GroupSums, GroupSums)>,
-    /// Likewise for the times.
+    /// The results for times, by the address of the earlier times, the gain, the last observation and the factors.
     shared_times: HashMap<TimesKey, (Arc<ObservedTimes>, Arc<ObservedTimes>)>,
     no_times: Arc<ObservedTimes>,
-    /// Times of groups that share no sum; equal ones are kept once. A moving robot sees most cells at times of their
-    /// own, but the gaps between, in whole seconds, are often the same.
+    /// Times of groups that share no sum; equal times are kept once. A moving robot sees most cells at different times,
+    /// but the gaps between, in whole seconds, are often equal.
     equal_times: HashMap<TimesContent, Arc<ObservedTimes>>,
 }
 
@@ -167,7 +169,7 @@ impl Gains {
         missing.map(|toggles| Contribution::new(toggles.clone(), times, rules)).collect()
     }
 
-    /// Adds computed contributions; another batch may have been first.
+    /// Adds computed contributions; another batch may already have added them.
     pub(super) fn take(&mut self, contributions: Vec<Contribution>) {
         for Contribution { toggles, sum, weighted, .. } in contributions {
             let next = self.gains.len();
@@ -205,7 +207,7 @@ impl Gains {
         Arc::clone(&self.no_times)
     }
 
-    /// The times of a group after the day; `gain`: that of the toggles, if there is one.
+    /// The times of a group after the day; `gain`: the gain of its toggles, if there is one.
     pub(super) fn observe(
         &mut self,
         before: Arc<ObservedTimes>,

@@ -1,15 +1,14 @@
-//! How the readings of a day follow each other: the times between the observations of a group, and the changes of a
-//! cell.
+//! The sequence of the readings of a day: the gaps between the observations of a group, and the changes of a cell.
 //!
-//! Invariant: readings that are not newer than those before count in neither, as in a named state. The cost follows the
-//! toggles, not the scans, unless scans of the day come late or at equal times.
+//! Invariant: readings that are not newer than the readings before count in neither, as in a named state. The cost
+//! follows the toggles, not the scans, unless scans of the day come late or at equal times.
 
 use super::{
     super::{fade::DayFactors, observed_times::ObservedTimes},
     shared_sums::Times,
 };
 
-/// The changes of a cell among newer readings.
+/// The changes of a cell among its newer readings.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub(super) struct Changes {
     /// Number of changes.
@@ -34,13 +33,14 @@ impl Times {
         self.utc_nanos.get(scan).copied().unwrap_or(0)
     }
 
-    /// Whether each of the observations with these toggles is newer than the one before, and than `last_nanos`.
+    /// Whether each of the observations with these toggles is newer than the observation before, and than `last_nanos`.
     fn are_newer(&self, observed: &[u32], last_nanos: Option<i64>) -> bool {
         let first = self.runs(observed).next().map(|run| self.at(run.start));
         self.by_time.is_none() && last_nanos.is_none_or(|last| first.is_some_and(|first| first > last))
     }
 
-    /// The times of a group after its observations of the day. `last_nanos`: its last observation before.
+    /// The times of a group after its observations of the day. `last_nanos`: the time of its last observation before
+    /// the day.
     pub(super) fn observe(
         &self,
         before: ObservedTimes,
@@ -75,13 +75,13 @@ impl Times {
         after
     }
 
-    /// The scan of an observation by its number on the day, and that of the one before.
+    /// The scan of an observation by its number on the day, and the scan of the observation before.
     fn observation(&self, observed: &[u32], number: u64) -> (usize, Option<usize>) {
         let (mut rest, mut before) = (number, None);
         for run in self.runs(observed).filter(|run| !run.is_empty()) {
             let length = run.len() as u64;
             if rest < length {
-                // It is within the run.
+                // The scan is within the run.
                 let scan = run.start + rest as usize;
                 return (scan, if rest > 0 { Some(scan - 1) } else { before });
             }
@@ -105,7 +105,7 @@ impl Times {
         is_set
     }
 
-    /// Adds local hours with an observation, by their numbers.
+    /// Adds local hours with an observation, given by their numbers.
     fn add_hours(&self, times: &mut ObservedTimes, numbers: Vec<u32>, factors: DayFactors) {
         if factors.known != 1.0 {
             times.scale(factors.known);
@@ -118,7 +118,7 @@ impl Times {
         }
     }
 
-    /// The numbers of the local hours with an observation, where each scan is newer than the one before.
+    /// The numbers of the local hours with an observation, where each scan is newer than the scan before.
     fn hours(&self, observed: &[u32]) -> Vec<u32> {
         let mut hours = Vec::new();
         for run in self.runs(observed).filter(|run| !run.is_empty()) {
@@ -130,7 +130,7 @@ impl Times {
         hours
     }
 
-    /// The changes of a cell with these toggles of its observed and its occupied bit, after a reading of the value
+    /// The changes of a cell with these toggles of its observed and its occupied bit, after a reading with the value
     /// `last` at `last_nanos`.
     pub(super) fn changes(
         &self,
@@ -148,7 +148,7 @@ impl Times {
             }
             changes.last = Some(is_occupied);
         };
-        // Number of toggles up to a scan; odd where the bit is set.
+        // The number of toggles up to a scan; it is odd where the bit is set.
         let mut toggles = 0;
         let mut pass = |scan: usize| {
             while occupied.get(toggles).is_some_and(|&toggle| toggle as usize <= scan) {

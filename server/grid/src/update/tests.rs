@@ -1,4 +1,4 @@
-//! Tiles that are worked off in several batches.
+//! Tests tiles that are processed in several batches.
 
 use std::collections::HashSet;
 
@@ -14,7 +14,7 @@ use crate::{
 
 mod support;
 
-/// How many different sums the groups of all tiles have.
+/// The number of different sums that the groups of all tiles have.
 fn sums(snapshot: &GridSnapshot) -> usize {
     let sums: Vec<Arc<TileSums>> = snapshot.sums.iter().map(|slot| slot.get().expect("in memory")).collect();
     sums.iter().flat_map(|sums| sums.shared()).map(Arc::as_ptr).collect::<HashSet<_>>().len()
@@ -39,7 +39,7 @@ fn fixed_day(day: i64, tiles: u32) -> Scans {
 
 #[test]
 fn tiles_seen_alike_share_their_sums_across_batches() {
-    // Limits at which a few tiles are many.
+    // The limits are so low that a few tiles are many.
     let limits =
         UpdateLimits { chunk_scans: 3, summed_groups_max: 2, runs_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
     let periodicities = Periodicities::harmonics(36 * HOUR, 20).expect("valid");

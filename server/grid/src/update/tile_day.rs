@@ -1,6 +1,6 @@
-//! One tile on one day of an update: its changed cells are scored and their sums continued.
+//! One tile on one day of an update: scores its changed cells and continues their sums.
 //!
-//! Invariant: scores use the models as they were before the day; sums and models change at its end.
+//! Invariant: scores use the models from before the day; sums and models change at its end.
 
 use tidemap_model::special::square;
 use tidemap_model::{
@@ -28,14 +28,14 @@ use super::{
     shared_sums::{Gains, Times},
 };
 
-/// From a record of this length on, the components of a cell must be supported. A shorter one can hardly support a
-/// rhythm yet, and a cell has no histogram that answers meanwhile, as a named state has: the errors on new days decide
-/// alone (T-RO section IV.B). In the simulated office that halves the error after two weeks.
+/// From a record of this length on, the components of a cell must be supported. A shorter record can hardly support a
+/// rhythm yet, and a cell, unlike a named state, has no histogram that predicts meanwhile: the errors on new days alone
+/// decide (T-RO section IV.B). In the simulated office that halves the error after two weeks.
 const SUPPORT_NANOS: u64 = 27 * 86_400_000_000_000;
 
-/// A component needs so many observed hours more: with few looks, noise fits any of them.
+/// Each additional component needs this many more observed hours: with few observations, noise fits any of them.
 const HOURS_PER_COMPONENT: f64 = 8.0;
-/// Without so many observed hours there is only the mean.
+/// With fewer observed hours than this, only the mean is used.
 const HOURS_OF_MEAN: f64 = 8.0;
 
 /// A tile that an update changes.
@@ -43,35 +43,35 @@ const HOURS_OF_MEAN: f64 = 8.0;
 pub(super) struct BusyTile {
     pub(super) id: TileId,
     pub(super) data: TileData,
-    /// What was done to it since the update began.
+    /// The outcome for the tile since the update began.
     pub(super) outcome: TileOutcome,
 }
 
-/// A cell that has a spectrum, on the day.
+/// A cell that has a spectrum, with its data of the day.
 #[derive(Debug, Default)]
 struct CellDay {
     /// Toggles of the occupied bit.
     toggles: Vec<u32>,
-    /// How far the toggles are added to the sums.
+    /// The position up to which the toggles are added to the sums.
     cursor: Cursor,
-    /// How far they are scored.
+    /// The position up to which the toggles are scored.
     scored_to: Cursor,
     /// The split group.
     group: usize,
-    /// Readings of the day that are newer than all before; 0 without earlier readings.
+    /// Number of readings of the day that are newer than all before; 0 without earlier readings.
     scored: u64,
     scores: ScoreSums,
     /// Σβ over the occupied readings of the day, each with its weight.
     occupied_weight: f64,
-    /// The sum over the occupied readings of a day that came late, and the weight of each.
+    /// The sum over the occupied readings of a day that came late, and the weight of each reading.
     late: Option<(PhasorSum, f64)>,
 }
 
-/// A group on the day.
+/// A group with its data of the day.
 #[derive(Debug)]
 struct GroupDay {
     scoring: GroupScoring,
-    /// What the day does to the weights of its readings.
+    /// The factors that the day applies to the weights of the group's readings.
     factors: DayFactors,
 }
 
@@ -162,7 +162,7 @@ impl TileDay {
         !self.by_group.is_empty()
     }
 
-    /// Scores some looks by the models of before the day.
+    /// Scores some scan blocks by the models from before the day.
     pub(super) fn score(&mut self, chunk: &LookChunk<'_>, rules: &Rules) {
         let TileDay { tile, observed, split, groups, cells, by_group, .. } = self;
         let with_wrong = rules.criterion == OrderCriterion::ZeroOne;
@@ -203,7 +203,7 @@ impl TileDay {
         }
     }
 
-    /// Replaces the tile's groups by those after the day.
+    /// Replaces the tile's groups by the groups after the day.
     pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
         let TileData { model, sums } = &mut self.tile.data;
         let changed = model.changed();
@@ -271,8 +271,8 @@ impl TileDay {
         self.keep_runs(times, rules);
     }
 
-    /// Adds the day to the observation runs of cells without complete sums, or completes all sums if that takes less
-    /// memory.
+    /// Adds the day to the observation runs of cells without complete sums. Completes all sums instead if that takes
+    /// less memory.
     fn keep_runs(&mut self, times: &Times, rules: &Rules) {
         let TileData { model, sums } = &mut self.tile.data;
         let others: Vec<(usize, &SplitGroup)> =
@@ -369,7 +369,7 @@ fn retrain_cell(
 }
 
 impl CellDay {
-    /// Takes the errors of the day into the choice of the cell's order, and adds them to the outcome.
+    /// Adds the errors of the day to the errors that choose the cell's order, and to the outcome.
     fn score(
         &self,
         day: LocalDay,
@@ -396,8 +396,8 @@ impl CellDay {
         outcome.squared_error_chosen += squared[usize::from(cell.order).min(ORDER_MAX)];
     }
 
-    /// Adds the weight of the day's occupied readings. Returns the weights of all readings of the cell: those that saw
-    /// it occupied, and all.
+    /// Adds the weight of the day's occupied readings. Returns two weights of the cell's readings: that of the occupied
+    /// readings, and that of all readings.
     fn weigh(
         &self,
         cell: &CellModel,
@@ -416,8 +416,8 @@ impl CellDay {
     }
 }
 
-/// Splits the groups of a tile by a day. If there are too many for a sum each, groups are divided into cells with and
-/// without a spectrum, and the sums of cells that get one on the day are completed.
+/// Splits the groups of a tile by a day. If there are too many groups to keep a sum for each, groups are divided into
+/// cells with and without a spectrum, and the sums of cells that get a spectrum on the day are completed.
 fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) -> Vec<SplitGroup> {
     let split = split_groups(&working.model.groups, &toggles.observed);
     let is_new =
@@ -472,12 +472,12 @@ fn complete(model: &mut TileModel, sums: &mut TileSums, groups: &[(usize, u16)],
     }
 }
 
-/// The fading of the group that a group was part of.
+/// The fading of the group from which a group was split.
 fn fade_of(model: &TileModel, split: &SplitGroup) -> Option<GroupFade> {
     model.sensors.as_ref()?.fades.get(split.before?).copied()
 }
 
-/// What a day on which a group is observed does to the weights of its readings.
+/// The factors that a day on which a group is observed applies to the weights of its readings.
 fn factors_of(model: &TileModel, split: &SplitGroup, day: LocalDay, rules: &Rules) -> DayFactors {
     let known = rules.half_life.zip(fade_of(model, split));
     known.map_or(DayFactors::EQUAL, |(half_life, fade)| half_life.factors(fade.day, day))
@@ -492,7 +492,7 @@ fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
     (ever_occupied & ever_free).without(changed)
 }
 
-/// Returns a spectrum to the cells that changed for the first time, and records those that never have.
+/// Adds a spectrum for the cells that changed for the first time, and records the cells that never have.
 fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
     let TileData { model, sums } = working;
     let changing = changing(model, toggles);
@@ -526,8 +526,8 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
 }
 
 impl CellModel {
-    /// Puts the order in force that has predicted best, limited to what the number of observed hours allows, and to the
-    /// supported components once the record is long.
+    /// Puts the order in force that has predicted best, limited to the order that the number of observed hours allows
+    /// and, once the record is long, to the supported components.
     fn set_order(&mut self, watch: &OrderWatch, span_nanos: u64, hours: f64) {
         let supported = if span_nanos < SUPPORT_NANOS { ORDER_MAX } else { watch.supported_order() };
         let supported = supported.min(((hours - HOURS_OF_MEAN) / HOURS_PER_COMPONENT).max(0.0) as usize);
@@ -537,6 +537,6 @@ impl CellModel {
 
 /// The model of a cell that has only shown one value.
 fn constant(level: f64, observations: u64) -> SpectralModel {
-    // A level is a probability, and there are no components.
+    // The level is a probability, and there are no components, so the parts are valid.
     SpectralModel::from_parts(level, observations, Vec::new()).unwrap_or_default()
 }

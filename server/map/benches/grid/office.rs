@@ -1,7 +1,7 @@
-//! A simulated office under one robot's eyes all day: cells that change have a daily rhythm and lie in one state for
-//! 94 % of the time.
+//! A simulated office under one robot's eyes all day: cells that change have a daily rhythm and are in one state for 94
+//! % of the time.
 //!
-//! Invariant: the same each time.
+//! Invariant: the office is identical in each run.
 
 use std::sync::Arc;
 
@@ -71,7 +71,7 @@ impl Office {
         for number in 0..CELLS {
             let cell = (number % TILES * 512 + (number / TILES) * 14) as u32;
             let busy = SCANS / 8 + number % TILES * 20;
-            // Runs of occupied readings, by day rather than by night, that do not touch.
+            // The runs of occupied readings are by day rather than by night, and do not touch.
             let mut starts: Vec<usize> = Vec::new();
             while starts.len() < CHANGES / 2 {
                 let spread = if self.random(4) == 0 { SCANS } else { SCANS / 4 };
@@ -115,8 +115,8 @@ impl Office {
         (0..scans).map(scan).collect()
     }
 
-    /// Scans of some tiles by a robot that comes by on its rounds, and each time sees what lies on one side of a plane
-    /// of its own. The last scan of a day sees all.
+    /// Scans of some tiles by a robot that comes by on its rounds. Each time it sees the cells on one side of a new
+    /// plane. The last scan of a day sees all cells.
     pub(crate) fn patrol_day(
         &mut self,
         day: i64,
@@ -158,13 +158,13 @@ impl Office {
         scans
     }
 
-    /// The events that they become; the map has them applied.
+    /// The events that the scans become; the map has applied them.
     pub(crate) fn events(map: &mut LiveMap, sent: &[StreamScan], batch: usize) -> Vec<Event> {
         let key = ProducerKey::new("robot", "").expect("valid");
         let mut front = LogHead::new(map.grid().expect("a grid"));
         let mut source = Office::source();
         let mut events = Vec::new();
-        // What the stream showed on the day before.
+        // The masks that the stream showed on the day before.
         if map.position() > 0 {
             let all = (0..TILES as u32 * 512).collect();
             let seen = Arc::clone(&sent[0].seen);

@@ -1,6 +1,6 @@
-//! Readings of cells that the model did not expect, as scans arrive.
+//! Finds readings of cells that the model did not expect, as scans arrive.
 //!
-//! Invariant: a reading is judged as [`super::anomalies`] judges it when it is looked up later with the same model.
+//! Invariant: the judgement of a reading equals that of [`super::anomalies`] for the reading later with the same model.
 
 use tidemap_model::selector::ModelSelector;
 
@@ -15,7 +15,7 @@ use tidemap_grid::{
 
 use crate::view::MapView;
 
-/// Scans that are judged at once.
+/// Number of scans that are judged at once.
 const SCANS: usize = 64;
 
 impl MapView {
@@ -88,7 +88,7 @@ impl MapView {
                 }
             }
         }
-        // Stable: those of a scan stay by tile and place.
+        // The sort is stable: the anomalies of a scan stay ordered by tile and place.
         unexpected.sort_by_key(|(scan, ..)| *scan);
         found.extend(unexpected.into_iter().map(|(_, cell, anomaly)| (cell, anomaly)));
         Ok(())

@@ -1,11 +1,11 @@
-//! What was unusual of the observations of a state, judged before it was learned.
+//! Unusual observations of a state, judged before they were learned.
 //!
 //! At an update each local day is judged by the model in force before the day, for the day's own score and before it is
 //! learned; pending observations are judged by the model in force now. Both make the same runs, so a door that was left
 //! open yesterday and is open still is one run. Cells of a grid keep none.
 //!
-//! Invariant: an observation is judged by a model that has not learned it. Nothing is unusual of a state that no update
-//! has learned.
+//! Invariant: an observation is judged by a model that has not learned it. A state that no update has learned has no
+//! unusual observations.
 
 use std::{ops::Range, sync::Arc};
 
@@ -20,12 +20,12 @@ use crate::{history::Reading, ids::StateId, view::MapView};
 /// Maximum number of runs that a map keeps: 6 MB. If there are more, those that ended first go.
 pub const MAP_RUNS_MAX: usize = 65_536;
 
-/// A run of a state.
+/// A run of unusual observations of a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StateSurprise {
     /// The state.
     pub state: StateId,
-    /// What was unusual.
+    /// The run.
     pub run: SurpriseRun,
 }
 
@@ -54,7 +54,8 @@ pub(crate) fn judge(surprises: &mut Surprises, model: &StateModel, periodicities
     }
 }
 
-/// A value between 0 and 1 counts as the one that it is nearer to, as in [`super::is_anomalous`].
+/// Judges a reading of a probability state. A value between 0 and 1 counts as the nearer of the two, as in
+/// [`super::is_anomalous`].
 fn judge_probability(sample: &Sample, probability: f64) -> JudgedReading {
     let is_above = sample.value >= 0.5;
     let observed_probability = if is_above { probability } else { 1.0 - probability };
@@ -69,7 +70,7 @@ fn judge_probability(sample: &Sample, probability: f64) -> JudgedReading {
     }
 }
 
-/// Drops the runs that ended first until the states have at most `max` together. Gives the number of those that stay.
+/// Drops the runs that ended first until the states have at most `max` together. Returns the number of runs that stay.
 pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) -> usize {
     let runs = || models.iter().flat_map(|model| model.surprises().runs());
     let count = runs().count();
@@ -78,7 +79,7 @@ pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) -> usize {
     }
     let mut ends: Vec<i64> = runs().map(|run| run.last_nanos).collect();
     let (_, &mut newest_dropped, _) = ends.select_nth_unstable(count - max - 1);
-    // Of several that ended at that time all stay or go together.
+    // Runs that ended at one time all stay or are all dropped.
     let is_kept = |run: &SurpriseRun| run.last_nanos > newest_dropped;
     for model in models.iter_mut().filter(|model| !model.surprises().runs().iter().all(is_kept)) {
         let mut surprises = model.surprises().clone();
@@ -88,22 +89,22 @@ pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) -> usize {
     models.iter().map(|model| model.surprises().runs().len()).sum()
 }
 
-/// What is asked of the unusual observations of states.
+/// A query for the unusual observations of states.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurpriseQuestion {
-    /// Runs of which a part lies from the first time up to, not including, the last: nanoseconds UTC.
+    /// Only runs that have a part from the first time up to, not including, the last time; nanoseconds UTC.
     pub within_nanos: Range<i64>,
-    /// How certain the model must have been of the contrary of the most surprising observation of a run, or how far out
-    /// that lies: at least [`KEPT_CONFIDENCE`].
+    /// Minimum certainty of the model that the most surprising observation of a run would be the contrary or, for
+    /// values, how far out that observation is: at least [`KEPT_CONFIDENCE`].
     pub confidence: Confidence,
     /// Maximum number of runs.
     pub top: usize,
 }
 
 impl MapView {
-    /// The unusual observations of states, the most surprising first: those that updates have learned, as they were
-    /// before that, and what the pending ones stand for, ascending by time (see [`MapView::pending_readings`]), judged
-    /// by the model in force.
+    /// The unusual observations of states, the most surprising first. Learned observations have the judgement from
+    /// before they were learned. Pending readings (see [`MapView::pending_readings`]), ascending by time, are judged by
+    /// the model in force.
     #[must_use]
     pub fn surprises(&self, states: &[(StateId, Vec<Reading>)], question: &SurpriseQuestion) -> Vec<StateSurprise> {
         let mut found: Vec<StateSurprise> = Vec::new();
@@ -121,13 +122,13 @@ impl MapView {
         found
     }
 
-    /// Number of runs of a state that have made room for others.
+    /// Number of runs of a state that were dropped to make room for others.
     #[must_use]
     pub fn dropped_surprises(&self, state: StateId) -> u64 {
         self.model(state).surprises().dropped()
     }
 
-    /// The runs of a state with those of pending observations.
+    /// The runs of a state with the runs of pending observations.
     fn surprises_with(&self, state: StateId, pending: &[Reading]) -> Surprises {
         let model = self.model(state);
         let mut surprises = model.surprises().clone();

@@ -1,4 +1,4 @@
-//! What counts as an anomaly, against the definition in words.
+//! Compares the anomalies with the definition in words.
 
 use proptest::prelude::*;
 
@@ -20,7 +20,7 @@ fn a_confidence_is_above_one_half_and_at_most_one() {
 
 #[test]
 fn the_thresholds_are_included_on_both_sides() {
-    // Numbers that binary fractions hold exactly.
+    // Binary fractions represent these numbers exactly.
     let c = confidence(0.75);
     for (value, probability, expected) in [
         (0.0, 0.75, true),
@@ -29,7 +29,7 @@ fn the_thresholds_are_included_on_both_sides() {
         (1.0, 0.251, false),
         (1.0, 1.0, false),
         (0.0, 0.0, false),
-        // A value counts as the one that it is nearer to, and one half as 1.
+        // A value counts as the nearer of 0 and 1, and one half counts as 1.
         (0.49, 1.0, true),
         (0.5, 1.0, false),
         (0.5, 0.0, true),
@@ -64,7 +64,7 @@ fn is_at_a_threshold(p: f64, c: f64) -> bool {
     (p - c).abs() < 1e-12 || (p - (1.0 - c)).abs() < 1e-12
 }
 
-/// Probabilities, with the ends and the middle often among them.
+/// Probabilities that often are 0, 1 or one half.
 fn probabilities() -> impl Strategy<Value = f64> {
     prop_oneof![Just(0.0), Just(0.5), Just(1.0), 0.0..=1.0]
 }
@@ -72,7 +72,7 @@ fn probabilities() -> impl Strategy<Value = f64> {
 proptest! {
     #[test]
     fn it_is_the_paper_word_for_word(value in prop_oneof![Just(0.0), Just(1.0)], p in probabilities(), c in 0.501..1.0) {
-        // s_m < s'(c) or s_m > s'(1 - c), but for p at the threshold itself.
+        // The definition is s_m < s'(c) or s_m > s'(1 - c), except for p at the threshold itself.
         prop_assume!(!is_at_a_threshold(p, c));
         let predicted = |threshold: f64| if p >= threshold { 1.0 } else { 0.0 };
         let paper = value < predicted(c) || value > predicted(1.0 - c);

@@ -1,9 +1,9 @@
 //! Anomalous values of continuous and count states.
 //!
 //! A value is an anomaly if it lies outside the two-sided interval, at the given confidence, of single values about the
-//! prediction ([`value_tail`]): normal, or negative binomial with variance φ·λ. The variance is that of the values,
-//! times the error of the model over the error of the mean, both at predicting days before they were learned. It is
-//! never below the variance between days of the hour.
+//! prediction ([`value_tail`]): normal, or negative binomial with variance φ·λ. The variance is the variance of the
+//! values, times the ratio of the model's error to the error of the mean; both are errors of predictions of days before
+//! they were learned. It is never below the variance between days of the hour.
 //!
 //! Invariant: a state with few learned observations has no anomalies.
 
@@ -29,20 +29,19 @@ pub struct ValueJudge {
     spreads: Spreads,
     /// The variance of single values about the prediction; for counts, at the usual rate.
     variance: f64,
-    /// For counts: variance over rate, at least 1.
+    /// The ratio of variance to rate for counts, at least 1.
     dispersion: f64,
-    /// For counts: the lowest rate, one in all observations.
+    /// The lowest rate for counts: one event in all observations.
     least_rate: f64,
 }
 
 impl ValueJudge {
     /// The judge for a model; `None` for probabilities, and with fewer than 30 learned observations.
     ///
-    /// The variance is that of the values, times what the model's error at predicting days that it had not learned has
-    /// been of
-    /// that of the mean: the sums, fading by 7 % a day, by which updates choose orders and models. Of a model that they
-    /// do not
-    /// score it is that of the model in force, and before the first scored day that of the values.
+    /// The variance is that of the values, times the ratio of the model's error to the error of the mean at predicting
+    /// days that they had not learned. The errors are the sums, fading by 7 % a day, by which updates choose orders and
+    /// models. For a model that updates do not score, the error of the model in force is used; before the first scored
+    /// day the ratio is 1.
     #[must_use]
     pub fn new(model: &StateModel, selector: ModelSelector) -> Option<Self> {
         let (kind, folded) = (model.kind(), model.accumulator());
@@ -73,8 +72,8 @@ impl ValueJudge {
     }
 }
 
-/// The error of a model over that of the mean, at predicting days before they were learned. The model in force stands
-/// in for models that updates do not score; 1 before the first scored day.
+/// The ratio of the error of a model to the error of the mean, at predicting days before they were learned. For a model
+/// that updates do not score it is the ratio of the model in force; 1 before the first scored day.
 fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
     let Some(known) = model.alternatives() else { return 1.0 };
     let scored = |wanted| known.error_sums().find(|(choice, _)| *choice == wanted).map(|(_, sum)| sum);
@@ -92,7 +91,7 @@ fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
 }
 
 impl MapView {
-    /// Which readings of a state are anomalous, given the model's predictions: one entry per reading, in their order.
+    /// Whether each reading of a state is anomalous, given the model's predictions; in the order of the readings.
     /// Probabilities are judged by [`super::is_anomalous`], other kinds by [`ValueJudge`].
     #[must_use]
     pub fn judged(

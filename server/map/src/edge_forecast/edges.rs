@@ -1,7 +1,7 @@
 //! The forecasts of all edges of a map, at any time.
 //!
-//! Invariant: everything comes from one view. Speeds are predicted by the model that the last update chose; success by
-//! that model too, or by one that the caller provides.
+//! Invariant: all data comes from one view. Speeds are predicted by the model that the last update chose; success by
+//! that model too, or by a model that the caller provides.
 
 use std::{
     collections::HashMap,
@@ -30,7 +30,7 @@ const LAST_REPORTS: f64 = 3.0;
 /// An edge with reports.
 #[derive(Debug)]
 struct ReportedEdge {
-    /// Built on first use: a route looks at few of the edges of a large map.
+    /// The record is built on first use: a route uses few of the edges of a large map.
     record: OnceLock<EdgeRecord>,
     states: EdgeStates,
 }
@@ -47,8 +47,8 @@ pub struct EdgeForecasts {
 impl EdgeForecasts {
     /// The edges of a view. `speed_m_per_s`: the speed without reports, above 0. `blend`: whether and how the last
     /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), with belief, or with memory (the
-    /// fading weight of RAS 2017, eq. 6, as that of some reports beside the forecast's evidence);
-    /// its kind and order are ignored.
+    /// fading weight of RAS 2017, eq. 6, as the weight of some reports beside the forecast's evidence). The kind and
+    /// the order of the blend are ignored.
     pub fn new(view: Arc<MapView>, speed_m_per_s: f64, blend: Blend) -> EdgeForecasts {
         let topology = view.site().topology();
         let reported: Vec<(&Edge, EdgeStates)> = topology

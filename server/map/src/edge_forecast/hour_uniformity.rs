@@ -1,12 +1,12 @@
-//! How uniform the hours of an edge are, as a number of reports that the edge as a whole counts for one hour.
+//! How uniform the hours of an edge are, as the number of reports that the edge as a whole counts for one hour.
 //!
 //! An edge that fails now and then, at any time, must not be avoided at an hour at which it happened to fail. A door
-//! that is shut at night must be known as shut after few reports of the night. The reports tell which of the two an
-//! edge is: the success of each hour is drawn from a Beta distribution about the edge's own, and its strength is the
-//! one with the highest likelihood (empirical Bayes with the beta-binomial distribution; B. Efron, "Large-Scale
-//! Inference", 2010, chapter 1).
+//! that is shut at night must be known as shut after few reports of the night. The reports decide between the two
+//! cases: the success of each hour is drawn from a Beta distribution about the edge's own success, and the strength of
+//! the distribution is the strength with the highest likelihood (empirical Bayes with the beta-binomial distribution;
+//! B. Efron, "Large-Scale Inference", 2010, chapter 1).
 //!
-//! Invariant: the result is one of [`STRENGTHS`], the lowest if the reports do not decide.
+//! Invariant: the result is one of [`STRENGTHS`]. It is the lowest if the reports do not decide.
 
 use libm::lgamma;
 use tidemap_model::models::HourTable;

@@ -1,4 +1,4 @@
-//! What edges are expected to be, from little evidence and from much.
+//! Forecasts of edges, from little evidence and from much.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -53,7 +53,8 @@ fn an_edge_that_always_failed_is_tried_again_some_day() {
 
 #[test]
 fn a_door_that_is_shut_at_night_is_known_to_be_although_its_model_forgot() {
-    // Four weeks: tried each hour by day and passed, at night only in the first three nights, and shut.
+    // Four weeks of reports: the edge was tried each hour by day and passed; at night only in the first three nights,
+    // and was shut.
     let by_day = (0..28).flat_map(|day| (7..20).map(move |hour| (24 * day + hour, 1.0)));
     let at_night = (0..3).flat_map(|day| [0, 1, 2, 3, 4, 5, 22, 23].map(move |hour| (24 * day + hour, 0.0)));
     let reports: Vec<(i64, f64)> = by_day.chain(at_night).collect();
@@ -66,7 +67,7 @@ fn a_door_that_is_shut_at_night_is_known_to_be_although_its_model_forgot() {
 
 #[test]
 fn an_edge_that_fails_at_any_time_is_not_shunned_at_the_hours_at_which_it_did() {
-    // Eight weeks, each hour; one in fifty fails, in no order.
+    // Eight weeks of reports, one each hour; one in fifty fails, in no order.
     let is_mishap = |hour: i64| (hour * 7_919 + hour / 24 * 31) % 50 == 0;
     let reports: Vec<(i64, f64)> = (0..56 * 24).map(|hour| (hour, f64::from(u8::from(!is_mishap(hour))))).collect();
     let edge = record(Extent::secs(9.0), &reports);
@@ -76,13 +77,13 @@ fn an_edge_that_fails_at_any_time_is_not_shunned_at_the_hours_at_which_it_did() 
 
 #[test]
 fn reports_of_other_hours_alone_do_not_make_an_edge_certain() {
-    // Fifteen reports, all at ten in the morning of working days, all of one kind; the model knows nothing else.
+    // Fifteen reports, all at ten in the morning of working days, all of one kind; the model has learned nothing else.
     let days = (0..21).filter(|day| (day + 3) % 7 < 5).take(15);
     for value in [0.0, 1.0] {
         let reports: Vec<(i64, f64)> = days.clone().map(|day| (24 * day + 10, value)).collect();
         let edge = record(Extent::secs(9.0), &reports);
         let expected = |hour: i64| edge.forecast(&PRIOR, value, 1.0, at(22 * 24 + hour)).success;
-        // As reported at that hour, and nearer to the map's mean at night.
+        // The forecast is near the reports at that hour, and nearer to the map's mean at night.
         assert!((expected(10) - value).abs() < 0.1, "{value}: {}", expected(10));
         let (distance, reported_distance) = ((expected(3) - PRIOR.success).abs(), (value - PRIOR.success).abs());
         assert!(distance < 0.6 * reported_distance, "{value}: {}", expected(3));
@@ -95,7 +96,8 @@ fn a_changed_length_keeps_the_speed() {
     let secs = |length_m| driven(length_m).forecast(&PRIOR, 1.0, 1.25, at(9)).duration_secs;
     assert!((secs(20.0) / secs(10.0) - 2.0).abs() < 1e-12);
     assert!((secs(10.0) - 10.0 / 1.235).abs() < 0.1, "{}", secs(10.0));
-    // A length and a nominal time: what the maker of the map says, until robots say otherwise.
+    // The edge has a length and a nominal time. The nominal time, which the maker of the map states, counts until
+    // robots report another.
     let both = Extent { length_m: Some(10.0), nominal_secs: Some(40.0) };
     assert!((record(both, &[]).forecast(&PRIOR, 1.0, 9.0, at(9)).duration_secs - 40.0).abs() < 1e-9);
 }
@@ -137,7 +139,7 @@ proptest! {
     }
 }
 
-/// A map of one link, A and B 12 m apart, whose way there was reported so.
+/// A map of one link, with A and B 12 m apart, and with these reports of the way there.
 fn driven(reports: &[(i64, bool)]) -> LiveMap {
     let mut map = empty();
     let name = |name| StateName::new(name).expect("valid");
@@ -183,7 +185,7 @@ fn learned(mut map: LiveMap, cut_nanos: i64) -> Arc<MapView> {
 
 #[test]
 fn edges_are_expected_to_be_as_they_were_reported() {
-    // Two weeks: passed each hour from 7 to 19, and failed at 20 and 21.
+    // Two weeks of reports: passed each hour from 7 to 19, and failed at 20 and 21.
     let reports: Vec<(i64, bool)> =
         (0..14).flat_map(|day| (7..22).map(move |hour| (24 * day + hour, hour < 20))).collect();
     let view = learned(driven(&reports), 14 * 24 * HOUR);
@@ -198,12 +200,12 @@ fn edges_are_expected_to_be_as_they_were_reported() {
     let at = |hour: i64| (14 * 24 + hour) * HOUR;
     assert!(edges.forecast(there, at(12)).success > 0.95, "{:?}", edges.forecast(there, at(12)));
     assert!(edges.forecast(there, at(20)).success < 0.2, "{:?}", edges.forecast(there, at(20)));
-    // 12 m in 20 s, next to the 1 m/s that is assumed.
+    // The speed is 12 m in 20 s; the assumed speed is 1 m/s.
     assert!((edges.forecast(there, at(12)).duration_secs - 20.0).abs() < 0.5);
     assert_eq!((edges.reports(there.id), edges.reports(back.id)), (14 * 15, 0));
     let unknown = edges.forecast(back, at(12));
     assert!(unknown.evidence <= PRIOR_REPORTS && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
-    // The last report was a failure at 21:00 of the day before; a minute later it is nearly all that counts.
+    // The last report was a failure at 21:00 of the day before; a minute later the forecast depends on it almost alone.
     let soon = at(-3) + HOUR / 60;
     assert!(recent.forecast(there, soon).success < edges.forecast(there, soon).success, "{soon}");
     let with_model = edges.forecast_with(there, at(20), |id, times| {

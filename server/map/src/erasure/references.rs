@@ -1,10 +1,10 @@
-//! Where a map names states besides the states themselves, their observations and their history: one row for each place
-//! in its site, and for the edits that put it there.
+//! Lists where a map names states besides the states themselves, their observations and their history: one row for each
+//! place in the map's site, and for the edits that put it there.
 //!
-//! A location, a node, an edge and a task are things of their own, which people have named; they stay, and so do their
-//! names. What they hold of a state goes.
+//! A location, a node, an edge and a task are objects of their own, which people have named; they stay, and so do their
+//! names. Their data about an erased state is removed.
 //!
-//! Invariant: an erasure walks all rows. After it, no row holds the name or the id of an erased state.
+//! Invariant: an erasure applies all rows. After it, no row holds the name or the id of an erased state.
 
 use super::StateErasure;
 use crate::{
@@ -16,23 +16,23 @@ use crate::{
 
 /// A place that names states.
 pub(super) struct Reference {
-    /// The site without what the place holds of erased states.
+    /// Returns the site without the place's data about erased states.
     pub(super) site: fn(&StateErasure, Site) -> Site,
-    /// An edit without it.
+    /// Returns an edit without data about erased states.
     pub(super) edit: fn(&StateErasure, SiteEdit) -> SiteEdit,
 }
 
-/// All places. A new place that names states gets a row here.
+/// All places. Add a row here for each new place that names states.
 pub(super) const REFERENCES: [Reference; 5] = [
-    // Locations.
+    // The row for locations.
     Reference { site: locations, edit: as_it_is },
-    // Failed traversals.
+    // The row for failed traversals.
     Reference { site: failures, edit: as_it_is },
-    // Reports of tasks.
+    // The row for reports of tasks.
     Reference { site: runs, edit: as_it_is },
-    // States that value tasks.
+    // The row for states that multiply the value of tasks.
     Reference { site: tasks, edit: edited_task },
-    // Kept plans.
+    // The row for kept plans.
     Reference { site: plans, edit: edited_plan },
 ];
 
@@ -71,7 +71,7 @@ fn runs(erasure: &StateErasure, site: Site) -> Site {
     site.with_tasks(tasks)
 }
 
-/// A task whose value depends on an erased state has its plain value.
+/// A task; if its value depends on an erased state, it gets its plain value.
 fn task(erasure: &StateErasure, task: RobotTask) -> RobotTask {
     let value_state = task.value_state.filter(|state| !erasure.is_erased_name(state));
     RobotTask { value_state, ..task }
@@ -89,7 +89,7 @@ fn edited_task(erasure: &StateErasure, edit: SiteEdit) -> SiteEdit {
     }
 }
 
-/// A plan without the steps that look at an erased state by its name, or do what it counts.
+/// A plan without the steps that observe an erased state by its name, or do a task whose reports it counts.
 fn plan(erasure: &StateErasure, plan: KeptPlan) -> KeptPlan {
     let is_left = |step: &KeptStep| match &step.work {
         KeptWork::Task { name, .. } => !erasure.is_erased_name(&name.state()),
@@ -128,12 +128,13 @@ impl StateErasure {
         self.names.values().any(|known| known == name)
     }
 
-    /// Whether an erased state has this name, or has it at another position of the log.
+    /// Whether an erased state has this name, now or at another log position.
     fn is_erased_name(&self, name: &StateName) -> bool {
         self.all_names.contains(name)
     }
 
-    /// Whether a place that is looked at has the name of an erased state, or of the whole of which it is a part.
+    /// Whether a place that is explored has the name of an erased state, or of the whole of which an erased state is a
+    /// part.
     fn is_erased_place(&self, place: &str) -> bool {
         self.all_names
             .iter()

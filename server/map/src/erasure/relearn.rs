@@ -1,13 +1,13 @@
-//! Learning states anew from their history, update by update, without what is erased.
+//! Learns states anew from their history, update by update, without the erased observations.
 //!
 //! Each history file is one update. The states go through the same code as in that update, with the readings of the
-//! updates before it, so that they are what they would be had they never seen the rest. Of the nightly limits of models
-//! to train only those of the states that are learned anew are counted: with more models due in one night than an
-//! update trains, a model may be trained earlier than it would have been. Rows of changes and events are known to be
-//! complete up to the newest observation of all these states, not of their own producer. So a row of a producer that
-//! lags may be late here and not have been in the update, or the reverse.
+//! updates before it, so that they become what they would be without the erased observations. The nightly limits of
+//! models to train count only the states that are learned anew: with more models due in one night than an update
+//! trains, a model may be trained earlier than it would have been. Rows of changes and events count as complete up to
+//! the newest observation of all these states, not of their own producer. So a row of a producer that lags behind may
+//! be late here and not have been late in the update, or the reverse.
 //!
-//! Invariant: the result depends on the history and on what is left of the pending observations alone.
+//! Invariant: the result depends only on the history and on the remaining pending observations.
 
 use std::{
     collections::BTreeMap,
@@ -32,7 +32,7 @@ use crate::{
     view::LiveState,
 };
 
-/// The observations of a state of one update that are left, with their origins; both empty if none is.
+/// The remaining observations of a state in one update, with their origins; both are empty if none remains.
 pub(super) fn left(
     selection: &Selection,
     erased: Option<&Vec<u64>>,
@@ -56,7 +56,7 @@ pub(super) fn left(
     kept
 }
 
-/// What earlier updates of the new history have learned.
+/// The data that earlier updates of the new history have learned.
 #[derive(Debug, Default)]
 struct Earlier(BTreeMap<StateId, Vec<Sample>>);
 
@@ -72,11 +72,11 @@ impl StateReadings for Earlier {
     }
 }
 
-/// One update of the history, with what is left of it of the states that are learned anew.
+/// One update of the history, with its remaining observations of the states that are learned anew.
 #[derive(Debug)]
 struct Lesson {
     generation: u64,
-    /// The latest time of what all states have learned up to it.
+    /// The latest time that all states have learned, up to this update.
     newest_nanos: i64,
     samples: Vec<(StateId, Vec<Sample>)>,
     origins: Vec<Origins>,
@@ -88,7 +88,7 @@ pub struct Relearning<'a> {
     spec: &'a MapSpec,
     selection: &'a Selection,
     decision: &'a Decision,
-    /// As the snapshot has them.
+    /// The states as the snapshot has them.
     states: Vec<(StateId, StateSnapshot)>,
     lessons: Vec<Lesson>,
     newest_nanos: i64,
@@ -106,8 +106,8 @@ impl<'a> Relearning<'a> {
         Self { spec, selection, decision, states, lessons: Vec::new(), newest_nanos: 0 }
     }
 
-    /// Reads the history of an update; they come ascending by generation. `to_nanos`: the latest time of the whole
-    /// update. Other states than those that are learned anew are ignored.
+    /// Reads the history of an update; called in ascending order of generations. `to_nanos`: the latest time of the
+    /// whole update. States that are not learned anew are ignored.
     pub fn history(&mut self, piece: &HistoryPiece, to_nanos: i64) {
         self.newest_nanos = self.newest_nanos.max(to_nanos);
         let (generation, newest_nanos) = (piece.generation, self.newest_nanos);
@@ -161,7 +161,7 @@ impl<'a> Relearning<'a> {
                 grid: None,
                 readings: Some(Arc::<Earlier>::clone(&source)),
                 room: None,
-                // An erasure learns all that is left at once: no update follows it.
+                // An erasure learns all remaining observations at once: no update follows it.
                 readings_max: u64::MAX,
             };
             models = work.run(&AtomicU64::new(0))?.models;
@@ -173,7 +173,7 @@ impl<'a> Relearning<'a> {
         Ok(self.learned(&models, arrivals))
     }
 
-    /// By state, the observations that wait and are left.
+    /// For each state, the remaining observations that wait.
     fn waiting(&self) -> Vec<Vec<Step>> {
         let of_state = |id: &StateId| {
             let waiting = self.decision.waiting.get(id).into_iter().flatten().filter(|waiting| waiting.is_plausible);
@@ -190,7 +190,7 @@ impl<'a> Relearning<'a> {
             let mut live = LiveState::default();
             let reporting = state.model.reporting();
             for Step { sample, producer, .. } in &arrivals {
-                // Whether it was live is not kept: it is taken for a recording.
+                // The history does not keep whether the row was live, so the row counts as part of a recording.
                 live.observe_row(reporting, sample, Delivery { producer: *producer, received_nanos: i64::MAX });
             }
             (state.persistence, state.recent, state.newest_row) = (live.persistence, live.recent, live.newest_row);
@@ -207,7 +207,7 @@ impl<'a> Relearning<'a> {
 }
 
 impl Lesson {
-    /// Adds its observations to those of each state.
+    /// Adds the observations of this update to the observations of each state.
     fn arrive(&self, arrivals: &mut [Vec<Step>]) {
         for ((index, samples), origins) in self.samples.iter().zip(&self.origins) {
             let Some(arrivals) = arrivals.get_mut(index.0 as usize) else { continue };
@@ -239,10 +239,11 @@ impl Lesson {
     }
 }
 
-/// An observation becomes the last value of its state.
+/// A step in which an observation becomes the last value of its state.
 #[derive(Clone, Copy, Debug)]
 struct Step {
-    /// Number of the last that had arrived, the generation that took it after waiting, and its time then.
+    /// The number of the last observation that had arrived, the generation that took this observation after waiting,
+    /// and its time in that case.
     place: (u64, u64, i64),
     sample: Sample,
     producer: ProducerId,

@@ -1,4 +1,4 @@
-//! What somebody wants to erase, by names.
+//! A request to erase data, by names.
 //!
 //! Invariant: a request names at least a state or a part.
 
@@ -6,19 +6,19 @@ use std::fmt;
 
 use tidemap_model::time::format_rfc3339;
 
-/// What is to be erased, by names.
+/// The data to erase, by names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ErasureRequest {
-    /// The state; `None`: all, of which a part is to be erased.
+    /// The state; `None`: a part of all states is erased.
     pub state: Option<String>,
-    /// Which of the observations; `None`: all, with the state.
+    /// The observations to erase; `None`: all, and the state itself.
     pub part: Option<RequestedPart>,
 }
 
 /// Some of the observations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RequestedPart {
-    /// The producer, and its label; without one, all labels.
+    /// The producer and its label; without a label, all labels.
     pub producer: Option<(String, Option<String>)>,
     /// Observations from this time on, nanoseconds UTC.
     pub from_nanos: i64,

@@ -1,8 +1,9 @@
-//! Which observations are to be erased, and what has to be known of a map before they can be.
+//! Decides which observations are to be erased, and collects the data of a map that this requires.
 //!
-//! A survey reads the history from its first file to its last, then the log. It refuses what cannot be done exactly.
+//! A survey reads the history from its first file to its last, then the log. It refuses erasures that cannot be done
+//! exactly.
 //!
-//! Invariant: a decision names every state of which an observation is selected.
+//! Invariant: a decision names every state with a selected observation.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,26 +20,26 @@ use crate::{
 /// An observation in the order of arrival.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Arrival {
-    /// Its number among those of its state.
+    /// The number of the observation among the observations of its state.
     pub number: u64,
     /// The observation.
     pub sample: Sample,
-    /// Who sent it.
+    /// The producer that sent it.
     pub producer: ProducerId,
-    /// Whether it did not have to wait.
+    /// Whether it was accepted without waiting.
     pub is_plausible: bool,
 }
 
 /// Observations of some states and producers in an interval.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selection {
-    /// Of these states; `None`: of all.
+    /// The states; `None`: all.
     pub states: Option<BTreeSet<StateId>>,
-    /// By these producers; `None`: by all.
+    /// The producers; `None`: all.
     pub producers: Option<BTreeSet<ProducerId>>,
     /// The first time, nanoseconds UTC.
     pub from_nanos: i64,
-    /// The time before which they lie, nanoseconds UTC; `i64::MAX`: all from the first on.
+    /// The end of the interval, exclusive, nanoseconds UTC; `i64::MAX`: all from the first time on.
     pub to_nanos: i64,
 }
 
@@ -74,7 +75,7 @@ pub enum NotErasable {
     /// Nothing is selected.
     #[error("the map has no such observation")]
     Nothing,
-    /// The history does not have all observations of a state, so that it cannot be learned anew.
+    /// The history lacks observations of a state, so that the state cannot be learned anew.
     #[error(
         "state {:?} cannot be learned anew without them, because {}. Erase the state as a whole, or only observations \
          from {} on, which no update has learned",
@@ -83,7 +84,7 @@ pub enum NotErasable {
     HistoryIncomplete {
         /// The state.
         state: StateName,
-        /// The earliest observation that the history has; `None`: it has none.
+        /// The earliest observation in the history; `None`: it has none.
         kept_from_nanos: Option<i64>,
         /// Observations from this time on were not learned, and can be erased.
         pending_from_nanos: i64,
@@ -99,29 +100,29 @@ fn kept(from_nanos: Option<i64>) -> String {
     }
 }
 
-/// What is known of a state.
+/// The data of a state that the survey has read.
 #[derive(Clone, Debug, Default)]
 struct OfState {
-    /// Observations in the history, and those of them that are selected.
+    /// Number of observations in the history, and of the selected ones among them.
     learned: (u64, u64),
-    /// Observations that the snapshot has as pending, and those of them that are selected.
+    /// Number of pending observations in the snapshot, and of the selected ones among them.
     pending: (u64, u64),
-    /// Observations after the snapshot, and those of them that are selected.
+    /// Number of observations after the snapshot, and of the selected ones among them.
     later: (u64, u64),
     /// The earliest time in the history.
     kept_from_nanos: Option<i64>,
-    /// Numbers of the selected observations that the history has, ascending or not.
+    /// Numbers of the selected observations in the history, ascending or not.
     numbers: Vec<u64>,
     /// Observations in the log up to the snapshot's position.
     read: u64,
-    /// The pending ones, with numbers among those read.
+    /// The pending observations, with numbers among the observations read, and whether each is selected.
     waiting: Vec<(Arrival, bool)>,
 }
 
-/// Name, acknowledged observations, first and last time that the model has learned.
+/// Name, number of acknowledged observations, first and last time that the model has learned.
 type KnownState = (StateName, u64, Option<(i64, i64)>);
 
-/// What has been read of a map so far.
+/// The data of a map that has been read so far.
 #[derive(Clone, Debug)]
 pub struct Survey {
     selection: Selection,
@@ -132,29 +133,29 @@ pub struct Survey {
     /// The states of the snapshot.
     known: Vec<KnownState>,
     states: BTreeMap<StateId, OfState>,
-    /// Failed traversals and reports of tasks that the snapshot has, and those of them that are selected.
+    /// Failed traversals and reports of tasks in the snapshot, and the selected ones among them.
     failures: BTreeSet<(StateName, i64)>,
     failed: BTreeSet<(StateName, i64)>,
 }
 
-/// What an erasure has to do.
+/// The work of an erasure.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Decision {
-    /// States of which no observation is left.
+    /// States without a remaining observation.
     pub emptied: Vec<StateId>,
-    /// States that have to be learned anew, and those with other last values; ascending.
+    /// States that must be learned anew, and states whose last values change; ascending.
     pub relearned: Vec<StateId>,
-    /// Number of states of which observations are erased.
+    /// Number of states with erased observations.
     pub states: u64,
-    /// Observations that are erased. A position counts for each of its axes.
+    /// Number of erased observations. A position counts once for each of its axes.
     pub observations: u64,
     /// Numbers of the selected observations that arrived before the snapshot, by state, ascending.
     pub numbers: BTreeMap<StateId, Vec<u64>>,
-    /// What the snapshot has as pending of the states to learn anew, without what is selected.
+    /// The remaining pending observations in the snapshot, of the states to learn anew.
     pub(crate) waiting: BTreeMap<StateId, Vec<Arrival>>,
     /// States whose learned observations are selected.
     pub(crate) unlearned: BTreeSet<StateId>,
-    /// Failed traversals and reports of tasks of the snapshot that are selected: the state, and the start.
+    /// Selected failed traversals and reports of tasks of the snapshot: the state, and the start.
     pub(crate) failed: BTreeSet<(StateName, i64)>,
 }
 
@@ -185,7 +186,7 @@ impl Survey {
         }
     }
 
-    /// Reads the history of an update; they come ascending by generation.
+    /// Reads the history of an update; called in ascending order of generations.
     pub fn history(&mut self, piece: &HistoryPiece) {
         if piece.generation > self.generation {
             return;
@@ -212,7 +213,7 @@ impl Survey {
         }
     }
 
-    /// Reads the event at a position, from the first that has pending observations.
+    /// Reads the event at a position; called from the first event with pending observations on.
     pub fn event(&mut self, position: u64, event: &Event) {
         let Event::Observations(envelope, event) = event else { return };
         for new in event.new_states.iter().flat_map(|new| new.states()).filter(|_| position > self.position) {
@@ -254,14 +255,14 @@ impl Survey {
         }
     }
 
-    /// What is to be done.
+    /// Decides what is erased.
     ///
     /// # Errors
-    /// [`NotErasable`], for the first state of which observations cannot be erased exactly.
+    /// [`NotErasable`], for the first state with observations that cannot be erased exactly.
     pub fn decide(self) -> Result<Decision, NotErasable> {
         let pending_from_nanos = self.cut_nanos.max(self.newest_nanos.saturating_add(1));
         let mut decision = Decision { failed: self.failed, ..Decision::default() };
-        // A state of which the history has nothing may still have learned what is selected.
+        // A state without observations in the history may still have learned selected observations.
         let known = (0..self.known.len()).filter_map(|at| u32::try_from(at).ok()).map(StateId);
         for state in known.filter(|state| self.selection.has_state(*state)) {
             let none = OfState::default();
@@ -312,7 +313,8 @@ fn without(arrival: Arrival, erased: &[u64]) -> Arrival {
     Arrival { number: renumbered(arrival.number, erased), ..arrival }
 }
 
-/// The new number of an observation. If it was erased: the new number of the last observation before it that is left.
+/// The new number of an observation. For an erased observation it is the new number of the last remaining one before
+/// it.
 pub(super) fn renumbered(number: u64, erased: &[u64]) -> u64 {
     number.saturating_sub(erased.partition_point(|erased| *erased <= number) as u64)
 }

@@ -1,4 +1,4 @@
-//! What is left after an erasure is the map that never had the states.
+//! The map after an erasure equals a map that never had the states.
 
 use std::sync::atomic::AtomicU64;
 
@@ -96,7 +96,7 @@ fn valued(kind: &str, state: &str) -> RobotTask {
     }
 }
 
-/// A plan that looks at places, one a minute.
+/// A plan that explores places, one a minute.
 fn kept_plan(places: &[&str]) -> KeptPlan {
     let step = |(minute, place): (i64, &&str)| KeptStep {
         departure_nanos: minute * 60_000_000_000,
@@ -170,7 +170,7 @@ fn what_is_left_is_the_map_that_never_had_the_states() {
         let after = erasure.snapshot(MapSnapshot { history: Vec::new(), ..snapshot.clone() });
         let left: Vec<Event> =
             (1..).zip(&events).map(|(position, event)| erasure.event(position, event.clone())).collect();
-        // The map that never had them: all events are applied again without them.
+        // The map that never had the states: all events are applied again without them.
         let mut never = StateErasure::new(erased.clone());
         let remaining: Vec<Event> =
             (1..).zip(&events).map(|(position, event)| never.event(position, event.clone())).collect();
@@ -208,7 +208,7 @@ fn nothing_of_an_erased_state_is_left_in_the_events() {
     assert_eq!(after.site.locations().keys().map(StateName::as_str).collect::<Vec<_>>(), ["hall"]);
     let plan = after.site.tasks().plan(LocalDay(0)).expect("kept");
     assert_eq!(plan.steps.len(), 1, "{plan:?}");
-    // The producer goes on where it was.
+    // The producer continues at its old sequence number.
     assert_eq!(after.producers[0].durable_sequence, 1000);
 }
 

@@ -1,4 +1,4 @@
-//! A bit per scan, 64 to a word: runs are filled and compared a word at a time.
+//! A row with a bit per scan, 64 to a word: runs are filled and compared a word at a time.
 //!
 //! Invariant: bits beyond the length are 0.
 
@@ -17,7 +17,7 @@ impl Bits {
         self.len = len;
     }
 
-    /// Fills the row: `first`, and the other value from each toggle on. Toggles beyond the length are ignored.
+    /// Fills the row with the value `first`, which changes at each toggle. Toggles beyond the length are ignored.
     pub(super) fn fill(&mut self, len: usize, first: bool, toggles: &[u32]) {
         self.reset(len);
         for &toggle in toggles {
@@ -41,7 +41,8 @@ impl Bits {
     pub(super) fn fill_reaching(&mut self, values: &[f32], threshold: f32) {
         self.reset(values.len());
         for (word, values) in self.words.iter_mut().zip(values.chunks(64)) {
-            // Compared in lanes, a byte each; then a multiplication moves the low bit of eight bytes into one.
+            // Values are compared in lanes, a byte each; then a multiplication moves the low bit of eight bytes into
+            // one.
             let mut reaches = [0_u8; 64];
             for (reaches, &value) in reaches.iter_mut().zip(values) {
                 *reaches = u8::from(value >= threshold);
@@ -60,7 +61,7 @@ impl Bits {
         }
     }
 
-    /// Appends bits `from..to` of another row; those that it does not have count as 0.
+    /// Appends bits `from..to` of another row; bits beyond the length of that row count as 0.
     pub(super) fn append(&mut self, other: &Bits, from: usize, to: usize) {
         let mut at = from;
         while at < to {
@@ -75,7 +76,7 @@ impl Bits {
         }
     }
 
-    /// 64 bits from any place on.
+    /// The 64 bits from any place on.
     fn get_64(&self, at: usize) -> u64 {
         let word = |index: usize| self.words.get(index).copied().unwrap_or(0);
         match at % 64 {
@@ -84,7 +85,7 @@ impl Bits {
         }
     }
 
-    /// Where exactly one of two rows is set, and a third is too; this row becomes that.
+    /// Makes this row: a bit is set where exactly one of two rows is set, and a third is too.
     pub(super) fn set_differing(&mut self, one: &Bits, other: &Bits, within: &Bits) {
         self.len = within.len;
         self.words.clear();
@@ -98,7 +99,7 @@ impl Bits {
         self.len
     }
 
-    /// Whether a bit is set; one beyond the length is not.
+    /// Whether a bit is set; false for a bit beyond the length.
     pub(super) fn get(&self, at: usize) -> bool {
         self.words.get(at / 64).is_some_and(|word| word >> (at % 64) & 1 == 1)
     }
@@ -108,7 +109,7 @@ impl Bits {
         self.len > 0 && self.get(self.len - 1)
     }
 
-    /// Each word, and in it the bits that differ from the bit before; the first bit of all does not.
+    /// For each word, the bits that differ from the bit before; the first bit of all does not count.
     fn changes(&self) -> impl Iterator<Item = u64> {
         let mut before = u64::from(self.get(0));
         let (last, used) = (self.words.len().saturating_sub(1), self.len % 64);

@@ -1,6 +1,7 @@
-//! Which cells of a tile are kept against a small model: those that take fewer bytes so.
+//! Chooses which cells of a tile are kept against a small model: the cells that take fewer bytes with one.
 //!
-//! Invariant: a model that is chosen makes the cell's part of the history smaller, as the store writes it, about.
+//! Invariant: a chosen model makes the cell's part of the history smaller, in the form in which the store writes it,
+//! about.
 
 use tidemap_grid::{
     day::{Bit, DayTile},
@@ -19,9 +20,9 @@ use super::{
 const MODEL_BYTES: usize = 7;
 /// Bytes of a component.
 const COMPONENT_BYTES: usize = 10;
-/// Bytes of a cell that has flips, beside them.
+/// Bytes of a cell that has flips, besides the flips.
 const FLIPS_BYTES: usize = 2;
-/// Minimum number of flips that pays for a model.
+/// Minimum number of flips for which a model pays off.
 const FLIPS_MIN: u16 = 3;
 /// Maximum number of components to try.
 const COMPONENTS_TRIED: usize = 3;
@@ -96,14 +97,15 @@ fn small_model(model: &TileModel, cell: u16, levels: (f64, f64)) -> OutlierModel
     OutlierModel { cell, mean, components: components.collect() }
 }
 
-/// Bytes of the flips at these places, ascending; any value of at least `enough` once it reaches that.
+/// Bytes of the flips at these places, ascending. If the number reaches `enough`, the result may be any value of at
+/// least `enough`.
 fn flips_bytes(places: impl Iterator<Item = u32>, enough: usize) -> usize {
     let (mut bytes, mut before) = (0, 0);
     for place in places {
         if bytes == 0 {
             bytes = FLIPS_BYTES;
         }
-        // Seven bits of the distance to a byte.
+        // A byte holds seven bits of the distance.
         bytes += match place.abs_diff(before) {
             ..128 => 1,
             128..16_384 => 2,

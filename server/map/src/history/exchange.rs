@@ -1,7 +1,7 @@
-//! The readings of modelled cells against what their models say: s ⊕ s' where a cell was observed.
+//! Compares the readings of modelled cells with the predictions of their models: s ⊕ s' where a cell was observed.
 //!
-//! Invariant: done twice with the same models it changes nothing, because models say the same each time. A tile without
-//! models stays as it is.
+//! Invariant: two exchanges with the same models change nothing, because a model always makes the same predictions. A
+//! tile without models stays unchanged.
 
 use tidemap_grid::{
     day::{Bit, DayTile, Flip},
@@ -20,14 +20,14 @@ use super::{
 pub(super) struct Rows {
     pub(super) cell: CellBits,
     pub(super) sum: Sum,
-    /// The model's predictions: at all scans, and at those that saw the tile.
+    /// The model's predictions at all scans. `said` has the predictions at the scans that saw the tile.
     pub(super) said_ever: Bits,
     pub(super) said: Bits,
     pub(super) differing: Bits,
 }
 
 impl Rows {
-    /// Finds where the cell differs from the model as summed up so far.
+    /// Finds where the cell differs from the predictions of the model by the sum so far.
     pub(super) fn compare(&mut self, seen: &Seen) {
         self.sum.occupied(&mut self.said_ever);
         seen.gather(&mut self.said_ever, &mut self.said);

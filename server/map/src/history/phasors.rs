@@ -1,7 +1,8 @@
-//! The small models of a day's cells, at the day's scans.
+//! The small models of a day's cells, evaluated at the day's scans.
 //!
-//! Invariant: what a model says depends on its parts and on the times of the scans alone, to the last bit: sums are in
-//! f32, in the order of the components. Memory for phasors is bounded; beyond, they are computed again each time.
+//! Invariant: the predictions of a model depend only on its parts and on the times of the scans, to the last bit: sums
+//! are in f32, in the order of the components. Memory for phasors is bounded; phasors beyond the bound are computed
+//! again each time.
 
 use std::sync::{
     OnceLock,
@@ -15,7 +16,7 @@ use super::{OutlierComponent, bits::Bits, turn::Phases};
 
 /// Bytes of phasors that are held for one day.
 const BYTES_MAX: usize = 128 << 20;
-/// What counts as occupied.
+/// A sum from this value on counts as occupied.
 const THRESHOLD: f32 = 0.5;
 
 /// Cosines and sines of some times in one periodicity.
@@ -25,12 +26,12 @@ struct Row {
     sin: Vec<f32>,
 }
 
-/// The phasors of a day's scans, each row computed when it is first asked for.
+/// The phasors of a day's scans, each row computed at its first use.
 #[derive(Debug)]
 pub(super) struct DayPhasors {
     phases: Phases,
     rows: Vec<OnceLock<Row>>,
-    /// Rows that may still be held.
+    /// Number of rows that may still be held.
     room: AtomicUsize,
 }
 
@@ -75,13 +76,13 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    /// The mean alone.
+    /// Sets the sum to the mean alone.
     pub(super) fn start(&mut self, mean: f32, phasors: &DayPhasors) {
         self.values.clear();
         self.values.resize(phasors.scans(), mean);
     }
 
-    /// Adds a component; one of a periodicity that does not exist adds nothing.
+    /// Adds a component; a component with a periodicity that does not exist adds nothing.
     pub(super) fn add(&mut self, component: &OutlierComponent, phasors: &DayPhasors) {
         let Sum { values, own } = self;
         let Some(row) = phasors.row(usize::from(component.periodicity), own) else { return };
@@ -91,7 +92,7 @@ impl Sum {
         }
     }
 
-    /// At which scans the model says occupied.
+    /// Sets the bits of the scans at which the model predicts occupied.
     pub(super) fn occupied(&self, bits: &mut Bits) {
         bits.fill_reaching(&self.values, THRESHOLD);
     }

@@ -1,4 +1,4 @@
-//! Encoding a day of scans for history, and decoding it, whole or cell by cell.
+//! Encodes a day of scans for history, and decodes it, whole or cell by cell.
 //!
 //! Invariant: decoding returns exactly what was encoded.
 
@@ -33,8 +33,8 @@ impl HistoryDay {
         let presence = day.presence_by_tile();
         let tiles = std::mem::take(day.tiles_mut());
         let encode = |rows: &mut Rows, id: TileId, tile: Box<DayTile>, ranges: &[(u32, u32)]| {
-            // A tile whose model cannot be read now is kept as it is, as are flips that would come back in another
-            // order.
+            // A tile whose model cannot be read now is kept unchanged, and so are flips that would be decoded in
+            // another order.
             let model = generation.model(id).and_then(|slot| ModelSlot::get(slot).ok());
             let model = model.filter(|_| tile.flips.is_sorted_by_key(order));
             let Some(model) = model else { return ((id, tile), None) };

@@ -1,7 +1,7 @@
-//! One tile on one day, cell by cell: at which of the scans that saw the tile a cell's bits flip.
+//! One tile on one day, cell by cell: finds the scans, among those that saw the tile, at which a cell's bits flip.
 //!
-//! Invariant: places count the scans that saw the tile, from 0. Ranges and flips that do not fit the day, as damaged
-//! data may have them, are left out.
+//! Invariant: places count the scans that saw the tile, from 0. Ranges and flips that do not fit the day, which may
+//! occur in damaged data, are left out.
 
 use tidemap_grid::{
     day::{Bit, DayTile, Flip},
@@ -10,16 +10,16 @@ use tidemap_grid::{
 
 use super::bits::Bits;
 
-/// Which scans of a day saw a tile.
+/// The scans of a day that saw a tile.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
-    /// First scan, end, and place of the first; ascending.
+    /// The first scan, the end, and the place of the first scan of each range; ascending.
     ranges: Vec<(u32, u32, u32)>,
     count: u32,
 }
 
 impl Seen {
-    /// From ranges of a day with `scans` scans.
+    /// Makes it from the ranges of a day with `scans` scans.
     pub(super) fn new(ranges: &[(u32, u32)], scans: usize) -> Seen {
         let end = u32::try_from(scans).unwrap_or(u32::MAX);
         let mut seen = Seen::default();
@@ -94,7 +94,7 @@ pub(super) fn flips_of(tile: &DayTile, seen: &Seen, cells: Mask) -> Vec<CellFlip
     found
 }
 
-/// The order in which flips come into being: by scan, observed bits before occupied ones, by cell.
+/// The order in which flips are recorded: by scan, observed bits before occupied bits, by cell.
 pub(super) fn order(flip: &Flip) -> (u32, Bit, u16) {
     (flip.scan, flip.bit(), flip.cell())
 }

@@ -1,4 +1,4 @@
-//! That history gives back what went in, and is small where models are right.
+//! History returns the data that was put in, and is small where models are right.
 
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ fn some_mask() -> impl Strategy<Value = Mask> {
     })
 }
 
-/// What one scan shows: steps in time, and per tile that it sees the masks.
+/// The content of one scan: the time since the scan before, and the masks of each tile that it sees.
 type Shown = (i64, Vec<(u32, Mask, Mask)>);
 
 fn some_scans() -> impl Strategy<Value = Vec<Shown>> {
@@ -59,7 +59,7 @@ fn some_scans() -> impl Strategy<Value = Vec<Shown>> {
         tiles.dedup_by_key(|(id, ..)| *id);
         tiles
     });
-    // A stretch shows the same for a while.
+    // Each stretch consists of scans with the same masks.
     let stretch = (seen, 1..40_usize, prop_oneof![Just(5 * SECOND), Just(HOUR), -HOUR..2 * HOUR]);
     proptest::collection::vec(stretch, 1..30).prop_map(|stretches| {
         let repeat = |(seen, count, step): (Vec<_>, usize, i64)| std::iter::repeat_n((step, seen), count);
@@ -96,7 +96,7 @@ fn day_of(scans: &[Shown]) -> GridDay {
     day
 }
 
-/// What was read of a cell, scan by scan.
+/// The readings of a cell, scan by scan.
 fn naive_readings(scans: &[Shown], tile: u32, cell: u16) -> Vec<(i64, bool)> {
     let mut utc_nanos = MIDNIGHT;
     let mut readings = Vec::new();
@@ -152,7 +152,8 @@ fn a_day_of_one_scan_comes_back() {
     check(&[(0, Vec::new())], Vec::new(), &Periodicities::default(), (0.0, 1.0));
 }
 
-/// A scan a minute of two cells that are occupied when a day's wave says so, but for `wrong` of the scans.
+/// A scan a minute of two cells that are occupied when a wave with a period of a day is high, except for `wrong` of the
+/// scans.
 fn waves(wrong: impl Fn(usize) -> bool) -> (Vec<Shown>, Vec<ModelSlot>) {
     let component = |periodicity| Component { periodicity, gamma_re: 0.2, gamma_im: 0.1 };
     let (slow, fast) = (vec![component(6)], vec![component(6), component(167)]);
@@ -253,6 +254,6 @@ fn what_a_model_says_has_the_bits_of_the_first_version() {
             hash = hash.rotate_left(5).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ u64::from(place);
         }
     }
-    // Computed apart from this code, with the same roundings.
+    // The value was computed independently of this code, with the same roundings.
     assert_eq!(hash, 14_360_750_887_227_163_264);
 }

@@ -1,10 +1,10 @@
 //! Cosines and sines that have the same bits on every machine, for as long as history is kept.
 //!
-//! A phase is a 64-bit fraction of a turn, found by integer division; its cosine and sine are a fixed polynomial, of
+//! A phase is a 64-bit fraction of a turn, found by integer division; its cosine and sine are a fixed polynomial of
 //! multiplications and additions that IEEE 754 rounds in one way only.
 //!
-//! Invariant: none of these bits ever changes; the tests hold some of them. Nothing here may use a fused multiply-add,
-//! a function of the C library, or instructions that are chosen at run time.
+//! Invariant: none of these bits ever changes; the tests check some of them. The code must not use a fused
+//! multiply-add, a function of the C library, or instructions that are chosen at run time.
 
 use tidemap_model::{Periodicities, PeriodicityDefinition};
 
@@ -43,7 +43,7 @@ pub(super) fn fraction(civil_nanos: i64, period_nanos: i64) -> u64 {
 /// Cosine and sine of a fraction of a turn, to 1e-13.
 #[inline]
 pub(super) fn cos_sin(fraction: u64) -> (f64, f64) {
-    // The nearest quarter of a turn, and what is left: at most an eighth either way.
+    // The nearest quarter of a turn, and the remainder: at most an eighth either way.
     let quarter = fraction.wrapping_add(1 << 61) >> 62;
     let rest = fraction.wrapping_sub(quarter << 62).cast_signed();
     let angle = rest as f64 * RADIANS_PER_UNIT;

@@ -1,6 +1,6 @@
 //! Why landmarks are refused.
 //!
-//! Invariant: a message says what is wrong, with its value, and what would be right.
+//! Invariant: a message states what is wrong, with the value, and what would be right.
 
 use super::{
     DESCRIPTOR_KIND_CHARS_MAX, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX, PROFILE_BYTES_MAX, PROFILES_BYTES_MAX,
@@ -27,7 +27,7 @@ pub enum LandmarkError {
         /// The landmark.
         name: String,
     },
-    /// There are none.
+    /// The place has no landmarks.
     #[error("{0:?} has no landmarks")]
     Nothing(String),
     /// Path features belong to edges, all others to nodes.
@@ -68,17 +68,17 @@ pub enum LandmarkError {
     /// Descriptors of two kinds cannot be compared.
     #[error("the map's descriptors are {known:?}, not {given:?}: descriptors of one map are of one kind")]
     OtherKind {
-        /// That of the map.
+        /// The kind of the map.
         known: String,
-        /// That given.
+        /// The kind given.
         given: String,
     },
     /// Descriptors of two lengths cannot be compared.
     #[error("a descriptor has {found} bytes, and those of the map have {expected}")]
     OtherLength {
-        /// Of the map.
+        /// The number of bytes of the map's descriptors.
         expected: usize,
-        /// That given.
+        /// The number of bytes given.
         found: usize,
     },
     /// The first descriptors need the name of their kind.
@@ -96,10 +96,10 @@ pub enum LandmarkError {
     /// The velocity profiles of all edges are too long.
     #[error("the map's velocity profiles would have {0} bytes: at most {PROFILES_BYTES_MAX}")]
     LongProfiles(usize),
-    /// Too many at one place.
+    /// There are too many landmarks at one place.
     #[error("{0:?} would have more than {LANDMARKS_AT_PLACE_MAX} landmarks")]
     TooManyAt(String),
-    /// Too many.
+    /// There are too many landmarks.
     #[error("the map would have more than {LANDMARKS_MAX} landmarks")]
     TooMany,
 }

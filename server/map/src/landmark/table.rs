@@ -1,5 +1,5 @@
-//! The landmarks of a map: at which place each is seen, and how it is recognised. When it is visible is learned by its
-//! state (T-RO, section VII).
+//! The landmarks of a map: the place at which each is seen, and how it is recognised. The state of a landmark learns
+//! when it is visible (T-RO, section VII).
 //!
 //! Invariant: a landmark has one name among those of its place; image features have descriptors of one kind and length
 //! in the whole map. The landmarks of a place keep their order: a replaced one stays where it was, new ones are last.
@@ -20,7 +20,7 @@ use crate::{
     topology::{EdgeId, LENGTH_MAX_M, NodeId, Topology, TopologyError},
 };
 
-/// Where landmarks are seen, for as long as its map exists.
+/// The place from which landmarks are seen, valid for as long as its map exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum LandmarkPlace {
     /// From a node.
@@ -34,7 +34,8 @@ pub enum LandmarkPlace {
 pub enum LandmarkKind {
     /// In an image, by its descriptor.
     Image(ImageFeature),
-    /// By a number that is printed on it, such as WhyCon's or AprilTag's; with its pose in the map's frame, metres.
+    /// By a number that is printed on it, such as a WhyCon or AprilTag number; with its pose in the map's frame,
+    /// metres.
     Marker {
         /// The number.
         number: u64,
@@ -43,15 +44,15 @@ pub enum LandmarkKind {
     },
     /// In the image that a robot takes on its way along an edge, by its descriptor (teach and repeat).
     Path {
-        /// How far along the edge the robot is, metres, at least 0.
+        /// The position of the robot along the edge, metres, at least 0.
         along_m: f64,
-        /// What it sees there.
+        /// The feature that it sees there.
         feature: ImageFeature,
     },
 }
 
 impl LandmarkKind {
-    /// The image feature, but of a marker.
+    /// The image feature; `None` for a marker.
     #[must_use]
     pub fn feature(&self) -> Option<&ImageFeature> {
         match self {
@@ -60,7 +61,7 @@ impl LandmarkKind {
         }
     }
 
-    /// How far along its edge it is, metres.
+    /// The position of the landmark along its edge, metres.
     #[must_use]
     pub fn along_m(&self) -> Option<f64> {
         if let Self::Path { along_m, .. } = self { Some(*along_m) } else { None }
@@ -72,7 +73,7 @@ impl LandmarkKind {
 pub struct Landmark {
     /// Name, unique at its place.
     pub name: StateName,
-    /// How it is recognised.
+    /// The way in which the landmark is recognised.
     pub kind: LandmarkKind,
     /// Covariance of the position or pose, if it is known: [`IMAGE_COVARIANCE`] or [`POSE_COVARIANCE`] numbers.
     pub covariance: Option<Box<[f64]>>,
@@ -103,7 +104,7 @@ impl LandmarksAtPlace {
     }
 }
 
-/// What the descriptors of a map are.
+/// The kind of the descriptors of a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DescriptorKind {
     /// Name of the detector and its training, such as `grief-256`.
@@ -123,10 +124,10 @@ pub enum LandmarkEdit {
         descriptor_kind: String,
         /// The landmarks.
         landmarks: Vec<Landmark>,
-        /// The velocity profile of the edge; `None` keeps what there is.
+        /// The velocity profile of the edge; `None` keeps the existing one.
         velocity_profile: Option<Box<[u8]>>,
     },
-    /// Landmarks are removed. What was learned of them stays, for one of that name that is added again.
+    /// Landmarks are removed. Their learned data stays, and belongs to a landmark of that name that is added again.
     Remove {
         /// Where they are seen.
         place: PlaceName,
@@ -150,7 +151,7 @@ impl Landmarks {
         self.count
     }
 
-    /// Whether there is nothing.
+    /// Whether there are no landmarks.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()
@@ -340,7 +341,7 @@ fn check_profile(place: &PlaceName, profile: &[u8]) -> Result<(), LandmarkError>
     }
 }
 
-/// Adds or replaces landmarks. Gives by how many there are more.
+/// Adds or replaces landmarks. Returns by how many their number has grown.
 fn add(known: &mut LandmarksAtPlace, landmarks: &[Landmark], place: &PlaceName) -> Result<usize, LandmarkError> {
     let before = known.landmarks.len();
     let mut by_name: HashMap<StateName, usize> =

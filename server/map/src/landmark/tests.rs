@@ -1,4 +1,4 @@
-//! Descriptors keep their bytes; the table of landmarks.
+//! Tests that descriptors keep their bytes. The tests of the table of landmarks are in `table.rs`.
 
 mod table;
 

@@ -1,7 +1,7 @@
-//! Applying observations and scans to a map.
+//! Applies observations and scans to a map.
 //!
-//! Invariant: an event that is inconsistent with those before is refused; any other advances its producer's mark,
-//! whatever else it holds.
+//! Invariant: an event that is inconsistent with the events before is refused; any other event advances its producer's
+//! mark, whatever else it contains.
 
 use std::sync::Arc;
 use tidemap_grid::scan::Scans;
@@ -88,7 +88,7 @@ impl LiveMap {
         Ok(())
     }
 
-    /// Producers give their places up. An older self of one that comes back is fenced.
+    /// Producers give their places up. If one of them comes back, an older instance of it is fenced.
     pub(super) fn forget_producers(&mut self, producers: &[ProducerId]) -> Result<(), String> {
         if let Some(unknown) = producers.iter().find(|id| id.0 as usize >= self.producers.len()) {
             return Err(format!("it forgets producer {}, which is unknown", unknown.0));
@@ -104,7 +104,8 @@ impl LiveMap {
         Ok(())
     }
 
-    /// A producer has sent an observation of a time; kept only where it tells up to when rows are complete.
+    /// Records that a producer has sent an observation of a time. It is recorded only if the map has states with rows:
+    /// it determines up to when rows are complete.
     pub(super) fn heard_of(&mut self, producer: ProducerId, nanos: i64) {
         if let Some(mark) = self.producers.get_mut(producer.0 as usize).filter(|_| !self.with_rows.is_empty()) {
             mark.newest_nanos = mark.newest_nanos.max(nanos);

@@ -1,4 +1,4 @@
-//! Pending readings, which no history holds yet.
+//! Reads pending readings, which no history holds yet.
 //!
 //! Invariant: together with the history of all finished updates, this is every acknowledged observation except those
 //! that a running update has taken.
@@ -44,10 +44,10 @@ impl LiveMap {
         }
     }
 
-    /// A bounded extract of what the next update could learn, to judge whether it is worth it: the states with the
-    /// largest numbers of pending observations, ascending. Of readings every n-th in order of arrival; of rows of
-    /// changes and events the first, because a row means nothing without the one before. A running update's are not
-    /// among them.
+    /// A bounded extract of what the next update could learn, to judge whether an update is worth it: the states with
+    /// the largest numbers of pending observations, ascending. It contains every n-th reading in order of arrival, but
+    /// the first rows of changes and events, because a row has no meaning without the row before. It does not contain
+    /// the observations of a running update.
     pub fn pending_extract(&self, states_max: usize, readings_max: usize) -> Vec<(StateId, Vec<Reading>)> {
         let reading = |sample: &Sample| (sample.utc_nanos, sample.value);
         self.pending.extract(states_max, |state, samples| {

@@ -1,6 +1,6 @@
-//! The states of a renamed node: they are renamed with it, so that what was learned is found under the new name.
+//! Renames the states of a renamed node, so that their learned data is found under the new name.
 //!
-//! Invariant: a state whose new name is taken keeps its own; [`renamed_states`] lists these beforehand.
+//! Invariant: a state keeps its name if its new name is taken; [`renamed_states`] lists these states beforehand.
 
 use super::LiveMap;
 use crate::{
@@ -10,10 +10,11 @@ use crate::{
     topology::TopologyEdit,
 };
 
-/// The new name of a state, or why it keeps the old one.
+/// The new name of a state, or the reason why the state keeps its old name.
 pub type Renamed = Result<StateName, InvalidName>;
 
-/// The states that an edit renames: the number of each, and its new name. Only the renaming of a node renames any.
+/// The states that an edit renames: the number of each, and its new name. Only an edit that renames a node renames
+/// states.
 pub fn renamed_states<'a, Id>(
     edit: &SiteEdit,
     states: impl Iterator<Item = (Id, &'a StateName)>,

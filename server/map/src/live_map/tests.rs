@@ -1,4 +1,4 @@
-//! What a map does with events, and that a restored map is the same map.
+//! Tests the effect of events on a map, and that a restored map equals the original.
 
 use std::sync::atomic::AtomicU64;
 
@@ -98,7 +98,7 @@ fn last_values_change_at_once_and_models_at_the_update() {
     update(&mut map, None);
     let after = map.publish();
     assert_eq!((after.generation(), after.pending(), after.cut_nanos()), (1, 0, Some(2 * HOUR + 1)));
-    // Two looks are not enough to be sure.
+    // Two readings are not enough to be sure.
     assert!((0.7..0.95).contains(&predict(&after, 0, 3 * HOUR)));
     assert_eq!(predict(&before, 0, 3 * HOUR), 0.5, "a view never changes");
 }
@@ -111,7 +111,7 @@ fn an_update_takes_what_came_before_it_and_lies_before_its_cut() {
     let start = map.plan_update(Some(24 * HOUR), NOW, UpdateCause::Midnight);
     let work = apply(&mut map, &Event::UpdateStart(start)).expect("an update");
     assert_eq!((work.states(), work.observations()), (1, 1));
-    // Meanwhile observations go on, and count as pending.
+    // Meanwhile more observations arrive, and count as pending.
     let late = event(&map, &[(0, 2 * HOUR, 0.0), (1, 31 * HOUR, 0.0)]);
     apply(&mut map, &late);
     assert_eq!(map.publish().pending(), 4);
@@ -138,7 +138,8 @@ fn observations_far_ahead_of_the_clock_wait() {
     update(&mut map, None);
     update(&mut map, Some(i64::MAX));
     assert_eq!((map.pending(), map.future(), map.publish().pending()), (0, 1, 1));
-    // The clock comes near: an update of all there is takes it, and it counts as the last value.
+    // The clock comes near the time of the observation: an update of all observations takes it, and it counts as the
+    // last value.
     let start = map.plan_update(None, future, UpdateCause::Request);
     let work = apply(&mut map, &Event::UpdateStart(start)).expect("an update");
     assert_eq!(work.observations(), 1);
@@ -160,7 +161,7 @@ fn events_that_do_not_follow_are_refused() {
 }
 
 proptest! {
-    /// A map restored from any of its snapshots, and given the log again, is the map that went on.
+    /// A map that is restored from any of its snapshots and replays the log equals the map that went on.
     #[test]
     fn a_restored_map_is_the_same_map(
         batches in prop::collection::vec(

@@ -1,6 +1,6 @@
-//! How a map hands out an update, and publishes its result.
+//! Starts the updates of a map, and publishes their results.
 //!
-//! Invariant: the log position of its start and its cut determine what an update takes.
+//! Invariant: the observations of an update are determined by the log position of its start and by its cut.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -41,7 +41,7 @@ impl LiveMap {
             origins.arrived = self.live.get(state.0 as usize).map_or(0, |live| live.observations);
         }
         for (state, sample, producer) in were_ahead {
-            // Their time has come: from here on they are like all others.
+            // The time of these observations has come: from here on they are treated like all others.
             let (index, reporting) = (state.0 as usize, self.reporting(state));
             if let Some(live) = self.live.get_mut(index) {
                 let arrival = Delivery { producer, received_nanos: sample.utc_nanos };
@@ -95,8 +95,8 @@ impl LiveMap {
         })
     }
 
-    /// By state that reports changes or events: its rows are known to be complete up to there, exclusive, because its
-    /// producer has sent something as late, of this or another state.
+    /// For each state that reports changes or events: the time up to which its rows are known to be complete,
+    /// exclusive, because its producer has sent an observation of that time, of this or another state.
     fn horizons(&self, cut_nanos: i64) -> BTreeMap<StateId, i64> {
         let horizon = |&id: &StateId| {
             let newest = self.live.get(id.0 as usize)?.newest_row?;

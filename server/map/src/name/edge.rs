@@ -1,7 +1,7 @@
 //! Names of edges, and of the states that learn from their traversals.
 //!
 //! Invariant: each part of such a name is a plain name, without `/`, so that a state's name identifies its edge: each
-//! state of each edge has one name, and nothing else has it.
+//! state of each edge has one name, and no other state has it.
 
 use std::fmt;
 
@@ -12,10 +12,10 @@ use super::{InvalidName, NAME_CHARS_MAX, StateName, shown};
 /// Maximum number of characters of the name of an edge's state: `speed/A/B/ACTION`, with three plain names.
 pub const EDGE_STATE_CHARS_MAX: usize = 3 * NAME_CHARS_MAX + "speed///".len();
 
-/// What is learned of an edge.
+/// The quantity that is learned of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum EdgeState {
-    /// Whether a traversal succeeds: 1 or 0, at its start. A probability.
+    /// Whether a traversal succeeds: 1 or 0, at the start of the traversal. A probability.
     Success,
     /// Speed of a successful traversal in metres per second, for an edge with a length. Continuous.
     Speed,
@@ -48,11 +48,11 @@ impl EdgeState {
 /// The name of an edge, by the names of its nodes. The edge need not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeName {
-    /// The node where it begins.
+    /// The node where the edge begins.
     pub from: StateName,
-    /// The node where it ends.
+    /// The node where the edge ends.
     pub to: StateName,
-    /// The action that travels it; `None` is the default action.
+    /// The action that travels the edge; `None` is the default action.
     pub action: Option<StateName>,
 }
 
@@ -66,7 +66,7 @@ impl EdgeName {
         Ok(Self { from: StateName::new(from)?, to: StateName::new(to)?, action })
     }
 
-    /// Checks a whole name, `A/B` or `A/B/ACTION`.
+    /// Checks a whole name, which is `A/B` or `A/B/ACTION`.
     ///
     /// # Errors
     /// [`InvalidName`]; [`InvalidName::Slash`] where there are fewer or more parts.
@@ -79,7 +79,7 @@ impl EdgeName {
         }
     }
 
-    /// This edge after a node is renamed; `None` if the node is none of its ends.
+    /// This edge after a node is renamed; `None` if the node is not one of its ends.
     pub(super) fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<EdgeName> {
         let mut edge = self.clone();
         let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
@@ -87,7 +87,7 @@ impl EdgeName {
         (renamed > 0).then_some(edge)
     }
 
-    /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` unless the action is the
+    /// Name of one of the edge's states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` unless the action is the
     /// default.
     pub fn state(&self, what: EdgeState) -> StateName {
         StateName(format!("{}/{self}", what.prefix()).into())

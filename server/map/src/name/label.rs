@@ -1,7 +1,7 @@
 //! Names of the labels of categorical states.
 //!
 //! Invariant: `STATE/LABEL` has two plain names, and its label is no axis of a vector or an angle, so that the name
-//! says by itself that the state is a label of STATE.
+//! alone shows that the state is a label of STATE.
 
 use tidemap_model::{ANGLE_AXES, Dimensions};
 
@@ -32,7 +32,7 @@ impl StateName {
         Self::new(state)?.label(label)
     }
 
-    /// As [`StateName::stored`], or the name of a label.
+    /// Checks a name like [`StateName::stored`]; also accepts the name of a label.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -40,7 +40,7 @@ impl StateName {
         Self::stored(name).or_else(|error| Self::labelled(name).map_err(|_| error))
     }
 
-    /// For the name of a label: the name of its state, and the label.
+    /// If this is the name of a label: the name of its state, and the label.
     #[must_use]
     pub fn as_label(&self) -> Option<(&str, &str)> {
         split_label(&self.0)

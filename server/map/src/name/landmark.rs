@@ -1,7 +1,7 @@
 //! Names of places where landmarks are seen, and of the landmarks' states.
 //!
-//! Invariant: each part of such a name is a plain name, without `/`, so that the number of parts tells a node from an
-//! edge, and a state's name identifies place and landmark.
+//! Invariant: each part of such a name is a plain name, without `/`, so that the number of parts distinguishes a node
+//! from an edge, and a state's name identifies place and landmark.
 
 use std::fmt;
 
@@ -13,7 +13,7 @@ const PREFIX: &str = "landmark";
 /// Maximum number of characters of the name of a landmark's state: `landmark/A/B/ACTION/ID`, with four plain names.
 pub const LANDMARK_STATE_CHARS_MAX: usize = 4 * NAME_CHARS_MAX + "landmark////".len();
 
-/// Where landmarks are seen: a node, or on the way along an edge. The place need not exist.
+/// The place from which landmarks are seen: a node, or the way along an edge. The place need not exist.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum PlaceName {
     /// From a node.
@@ -38,13 +38,13 @@ impl PlaceName {
         StateName(format!("{}{id}", self.landmark_prefix()).into())
     }
 
-    /// What the names of the states of all landmarks here begin with.
+    /// The common beginning of the names of the states of all landmarks here.
     #[must_use]
     pub fn landmark_prefix(&self) -> String {
         format!("{PREFIX}/{self}/")
     }
 
-    /// This place after a node is renamed; `None` if the node is no part of it.
+    /// This place after a node is renamed; `None` if the node is not part of it.
     fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<PlaceName> {
         match self {
             Self::Node(node) => (node.as_str() == from).then(|| Self::Node(to.clone())),
@@ -70,7 +70,7 @@ pub(super) fn split(name: &str) -> Option<Result<(PlaceName, StateName), Invalid
     if place.is_empty() { Some(Err(InvalidName::Slash(shown(name)))) } else { Some(parts()) }
 }
 
-/// The name of a landmark's state after a node is renamed, as [`StateName::with_node_renamed`].
+/// The name of a landmark's state after a node is renamed, in the same way as [`StateName::with_node_renamed`].
 pub(super) fn with_node_renamed(name: &StateName, from: &str, to: &StateName) -> Option<StateName> {
     let (place, id) = split(name.as_str())?.ok()?;
     place.with_node_renamed(from, to).map(|place| place.landmark(&id))

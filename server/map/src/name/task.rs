@@ -12,7 +12,7 @@ const PREFIX: &str = "task";
 /// The name of a task: its kind, and the node where it is done. Neither need exist.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TaskName {
-    /// What is done.
+    /// The work that is done.
     pub kind: StateName,
     /// The node of the topological map where it is done.
     pub node: StateName,
@@ -36,7 +36,7 @@ impl TaskName {
         Self::new(kind, node)
     }
 
-    /// Name of its state: whether the task succeeds, a probability, `task/KIND/NODE`.
+    /// Name of the task's state: whether the task succeeds, a probability, `task/KIND/NODE`.
     #[must_use]
     pub fn state(&self) -> StateName {
         StateName(format!("{PREFIX}/{self}").into())
@@ -50,14 +50,14 @@ impl fmt::Display for TaskName {
 }
 
 impl StateName {
-    /// For the name of a task's state: the task.
+    /// If this is the name of a task's state: the task.
     #[must_use]
     pub fn as_task(&self) -> Option<TaskName> {
         split_task(&self.0).and_then(|task| TaskName::parse(task).ok())
     }
 }
 
-/// The rest of a name that starts like that of a task's state. An axis of a vector, `task/x`, does not.
+/// The rest of a name that begins like the name of a task's state. An axis of a vector, `task/x`, is not such a name.
 pub(super) fn split_task(name: &str) -> Option<&str> {
     let (prefix, task) = name.split_once('/')?;
     (prefix == PREFIX && task.contains('/')).then_some(task)

@@ -1,4 +1,4 @@
-//! Which names are accepted, and that there is one for each thing.
+//! Tests which names are accepted, and that each object has one name.
 
 use super::*;
 

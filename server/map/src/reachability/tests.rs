@@ -1,4 +1,4 @@
-//! The last five attempts count, and what is stored comes back.
+//! Tests that the last five attempts count, and that stored content is restored.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! What a sighting says about each landmark.
+//! Tests the value that a sighting has for each landmark.
 
 use super::*;
 use crate::{
@@ -130,7 +130,7 @@ fn the_size_of_a_report_covers_its_observations() {
         Report::TaskRun(run),
     ] {
         let samples = report.samples(&site()).expect("valid");
-        // The record of an observation: its state's name, its time and its value.
+        // The minimum is the record of an observation: its state's name, its time and its value.
         let least: usize = samples.iter().map(|sample| sample.state.as_str().len() + 16).sum();
         let bytes = report.log_bytes(&site());
         assert!((least..10 * least).contains(&bytes), "{report:?}: {bytes} bytes for {least}");

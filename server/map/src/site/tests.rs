@@ -1,4 +1,4 @@
-//! Edits of a site: what is applied, what is refused. Invariant: a refused edit changes nothing.
+//! Tests which edits of a site are applied, and which are refused. Invariant: a refused edit changes nothing.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! The tasks of a site with the kept plans and the reports.
+//! The tasks of a site, with the kept plans and the reports.
 //!
 //! Invariant: a book is a function of the edits and reports applied and their order. An edit that [`TaskBook::check`]
 //! accepts is applied whole; any other changes nothing.
@@ -12,30 +12,30 @@ use crate::name::{StateName, TaskName, unprintable};
 
 /// Maximum number of tasks of a map.
 pub const TASKS_MAX: usize = 1_000;
-/// Number of plans that a map keeps, of its latest days.
+/// Number of plans that a map keeps: the plans of the latest days.
 pub const KEPT_PLANS_MAX: usize = 100;
 /// Maximum number of steps of a kept plan.
 pub const KEPT_STEPS_MAX: usize = 2_000;
-/// Maximum number of characters of the name of what is explored.
+/// Maximum number of characters of the name of a place that is explored.
 const PLACE_CHARS_MAX: usize = 400;
 
-/// What a robot does in a step of a plan.
+/// The work of a robot in a step of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub enum KeptWork {
     /// A task.
     Task {
-        /// Which.
+        /// The name of the task.
         name: TaskName,
-        /// Its value at the time.
+        /// The value of the task at the time.
         value: f64,
-        /// Probability that nothing fails on the way to it.
+        /// Probability that nothing fails on the way to the task.
         success: f64,
     },
-    /// It explores.
+    /// The robot explores.
     Explore {
         /// A location, a viewpoint `X,Y`, or `tour`.
         place: String,
-        /// Worth of the look, in bits.
+        /// Information that the exploration is worth, in bits.
         information_bits: f64,
     },
 }
@@ -43,13 +43,13 @@ pub enum KeptWork {
 /// A step of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeptStep {
-    /// When the robot departs for it, nanoseconds UTC.
+    /// When the robot departs for the step, nanoseconds UTC.
     pub departure_nanos: i64,
-    /// When it begins, nanoseconds UTC.
+    /// When the step begins, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it ends, nanoseconds UTC.
+    /// When the step ends, nanoseconds UTC.
     pub end_nanos: i64,
-    /// What is done.
+    /// The work that is done.
     pub work: KeptWork,
 }
 
@@ -60,7 +60,7 @@ pub struct KeptPlan {
     pub day: LocalDay,
     /// When the plan was made, nanoseconds UTC.
     pub made_nanos: i64,
-    /// Its steps, ascending by start.
+    /// The steps of the plan, ascending by start.
     pub steps: Vec<KeptStep>,
 }
 
@@ -104,11 +104,11 @@ impl KeptPlan {
 /// A change of the tasks of a site.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TaskEdit {
-    /// A task is added, or replaces the one of its name.
+    /// A task is added, or replaces the task of its name.
     Set(RobotTask),
-    /// A task is removed. What was learned of it stays.
+    /// A task is removed. Its learned data stays.
     Remove(TaskName),
-    /// A plan is kept; it replaces that of its day.
+    /// A plan is kept; it replaces the plan of its day.
     KeepPlan(KeptPlan),
 }
 
@@ -155,7 +155,7 @@ impl TaskBook {
         TaskBook { tasks, ..self }
     }
 
-    /// This book with every kept plan as `change` returns it, of the same day.
+    /// This book with every kept plan as `change` returns it, for the same day.
     pub(crate) fn with_plans(self, change: impl Fn(KeptPlan) -> KeptPlan) -> TaskBook {
         let changed = |(day, plan): (LocalDay, Arc<KeptPlan>)| (day, Arc::new(change(Arc::unwrap_or_clone(plan))));
         TaskBook { plans: self.plans.into_iter().map(changed).collect(), ..self }
@@ -186,7 +186,7 @@ impl TaskBook {
     /// Applies an edit.
     ///
     /// # Errors
-    /// As [`TaskBook::check`]; nothing is changed then.
+    /// The errors of [`TaskBook::check`]; nothing is changed then.
     pub fn apply(&mut self, edit: &TaskEdit) -> Result<(), TaskError> {
         self.check(edit)?;
         match edit {
@@ -202,7 +202,7 @@ impl TaskBook {
         Ok(())
     }
 
-    /// Checks that no task of a renamed node would have the name of another.
+    /// Checks that no task of a renamed node would have the name of another task.
     ///
     /// # Errors
     /// [`TaskError::Renamed`].
@@ -213,7 +213,7 @@ impl TaskBook {
         taken.map_or(Ok(()), |name| Err(TaskError::Renamed(name.to_string())))
     }
 
-    /// A node has another name.
+    /// Gives a node another name.
     pub(crate) fn rename_node(&mut self, from: &StateName, to: &StateName) {
         let renamed = |name: &TaskName| TaskName { node: to.clone(), ..name.clone() };
         let moved: Vec<TaskName> = self.tasks.keys().filter(|name| name.node == *from).cloned().collect();

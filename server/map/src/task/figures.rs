@@ -1,9 +1,10 @@
 //! How much a robot works by itself, week by week: A % and TSL of IEEE RAM 2017, "Metrics".
 //!
 //! A % is the time during which tasks were performed, as a share of the time in which the robot was allowed to work by
-//! itself. Charging is no performed task. TSL, the total system lifetime, is how long the system was available; a
-//! failure that it did not recover from by itself, and help that it did not ask for, begin it anew. It counts from the
-//! first report after that to the end of the last report before the next.
+//! itself. Charging is no performed task. TSL, the total system lifetime, is the time for which the system was
+//! available. A failure from which it did not recover by itself, and help for which it did not ask, begin a new
+//! lifetime. A lifetime counts from the first report after such an event to the end of the last report before the next
+//! event.
 //!
 //! Invariant: the figures follow from the reports alone. Time that two reports cover counts once. The first and the
 //! last week count from the day of the first report to that of the last.
@@ -12,12 +13,12 @@ use tidemap_model::{LocalDay, Zone};
 
 use super::{ALL_WEEKDAYS, CHARGE_KIND, DAY_SECS, TaskRun, TaskRuns, local_nanos};
 
-/// When a robot may work by itself.
+/// The hours in which a robot may work by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AllowedHours {
-    /// From, seconds after local midnight.
+    /// Beginning, seconds after local midnight.
     pub from_secs: u32,
-    /// Until, seconds after local midnight.
+    /// End, seconds after local midnight.
     pub until_secs: u32,
     /// A bit for each day of the week, Monday in the lowest.
     pub weekdays: u8,
@@ -34,11 +35,11 @@ impl Default for AllowedHours {
 pub struct TaskWeek {
     /// The Monday with which the week begins.
     pub monday: LocalDay,
-    /// Number of reported tasks that began in it.
+    /// Number of reported tasks that began in the week.
     pub runs: u64,
-    /// Number of these that failed.
+    /// Number of these tasks that failed.
     pub failed: u64,
-    /// Number of these after which somebody had to help.
+    /// Number of these tasks after which a person had to help.
     pub interventions: u64,
     /// Allowed time in which tasks were performed, seconds.
     pub active_secs: f64,
@@ -49,7 +50,7 @@ pub struct TaskWeek {
 }
 
 impl TaskWeek {
-    /// A %: the active share of the allowed time, in percent; 0 where none was allowed.
+    /// A %: the active share of the allowed time, in percent; 0 where no time was allowed.
     #[must_use]
     pub fn autonomy_percent(&self) -> f64 {
         if self.allowed_secs > 0.0 { 100.0 * self.active_secs / self.allowed_secs } else { 0.0 }
@@ -119,7 +120,7 @@ fn lifetimes(runs: &[&TaskRun]) -> Vec<(i64, i64)> {
     lifetimes
 }
 
-/// Time that both have; each ascends without overlap.
+/// The time that both lists have in common; each ascends without overlap.
 fn common_nanos(one: &[(i64, i64)], other: &[(i64, i64)]) -> i64 {
     let (mut common, mut at) = (0, 0);
     for (from, until) in other {

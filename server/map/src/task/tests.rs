@@ -1,4 +1,4 @@
-//! Windows, figures, and what a book of tasks accepts.
+//! Tests windows and figures, and which edits a book of tasks accepts.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,7 +25,7 @@ fn task() -> RobotTask {
     }
 }
 
-/// 2016-03-21, a Monday.
+/// The day 2016-03-21 is a Monday.
 const MONDAY: LocalDay = LocalDay(16_881);
 
 #[test]
@@ -38,7 +38,7 @@ fn windows_follow_days_and_repetitions() {
     let often = RobotTask { every_secs: Some(2 * HOUR), ..task() };
     let parts = [(8 * HOUR, 10 * HOUR), (10 * HOUR, 12 * HOUR), (12 * HOUR, 13 * HOUR)];
     assert_eq!(often.windows(MONDAY), parts);
-    // What is left of the window is too short for the task.
+    // The rest of the window is too short for the task.
     let long = RobotTask { duration_secs: HOUR + 1, ..often };
     assert_eq!(long.windows(MONDAY), parts[..2]);
 }
@@ -94,7 +94,7 @@ fn figures_are_those_of_the_paper() {
         run("clean", (9, 11), true),
         run("guide", (10, 12), true),
         run("charge", (12, 14), true),
-        // Partly after hours.
+        // This task is partly after hours.
         run("clean", (17, 20), false),
         TaskRun { intervention: true, ..run("clean", (24 + 9, 24 + 10), false) },
         // The next lifetime goes on into the next week.
@@ -106,12 +106,12 @@ fn figures_are_those_of_the_paper() {
     let hours = AllowedHours { from_secs: 8 * HOUR, until_secs: 18 * HOUR, ..AllowedHours::default() };
     let [first, second] = task_weeks(&runs, &Zone::utc(), hours)[..] else { panic!("two weeks") };
     assert_eq!((first.monday, first.runs, first.failed, first.interventions), (MONDAY, 6, 2, 1));
-    // 9 to 12, 17 to 18, and an hour on two other days.
+    // The active times are 9 to 12, 17 to 18, and an hour on two other days.
     assert_eq!((first.active_secs / 3_600.0, first.allowed_secs / 3_600.0), (6.0, 70.0));
     assert!((first.autonomy_percent() - 600.0 / 70.0).abs() < 1e-12);
-    // From 9 on Monday to 10 on Tuesday.
+    // The lifetime is from 9 on Monday to 10 on Tuesday.
     assert_eq!(first.lifetime_secs / 3_600.0, 25.0);
-    // Only the day of the last report is allowed of the last week.
+    // Of the last week, only the day of the last report counts as allowed.
     assert_eq!((second.active_secs / 3_600.0, second.allowed_secs / 3_600.0), (1.0, 10.0));
     assert_eq!(second.lifetime_secs / 3_600.0, 24.0);
 }
@@ -124,7 +124,7 @@ fn reports_are_bounded_and_ordered() {
     }
     let starts: Vec<i64> = runs.oldest_first().map(|run| run.start_nanos).collect();
     assert!(starts.is_sorted());
-    // The newest of those that came are kept, and an older one that comes is dropped.
+    // The newest reports are kept, and an older report that arrives is dropped.
     assert_eq!((starts.len(), runs.oldest_first().next()), (TASK_RUNS_MAX, Some(&run("clean", (5, 6), true))));
 }
 

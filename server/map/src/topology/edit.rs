@@ -1,7 +1,7 @@
-//! Edits of a topological map by the names of nodes, as requests give them and the log keeps them.
+//! Edits of a topological map by the names of nodes, as requests contain them and the log keeps them.
 //!
 //! Invariant: an edit is applied whole or not at all, and always changes the same map in the same way. A node or edge
-//! that an edit keeps has the same number after it.
+//! that an edit keeps has its old number after the edit.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::name::StateName;
 pub struct NewNode {
     /// The name of the node, unique within the map.
     pub name: StateName,
-    /// Where it lies, if that is known.
+    /// The pose of the node, if it is known.
     pub pose: Option<NodePose>,
     /// Duration of a visit in seconds, if given.
     pub dwell_secs: Option<f64>,
@@ -22,18 +22,18 @@ pub struct NewNode {
 /// The ends of an edge, by name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeEnds {
-    /// Where it begins.
+    /// The node where the edge begins.
     pub from: StateName,
-    /// Where it ends.
+    /// The node where the edge ends.
     pub to: StateName,
-    /// The action that travels it; `None` is the default action.
+    /// The action that travels the edge; `None` is the default action.
     pub action: Option<StateName>,
-    /// The edge back as well.
+    /// Whether the edge back is included.
     pub both_ways: bool,
 }
 
 impl EdgeEnds {
-    /// The usual edges both ways between two nodes.
+    /// The ends of the usual edges both ways between two nodes.
     pub fn link(from: StateName, to: StateName) -> EdgeEnds {
         EdgeEnds { from, to, action: None, both_ways: true }
     }
@@ -47,7 +47,7 @@ impl EdgeEnds {
 /// An edge to add, or to give another extent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewEdge {
-    /// Its ends and action.
+    /// The ends and the action of the edge.
     pub ends: EdgeEnds,
     /// Length and nominal time.
     pub extent: Extent,
@@ -103,7 +103,7 @@ impl Topology {
     /// Edits a copy: an error may leave it half edited.
     fn edit(&mut self, edit: &TopologyEdit) -> Result<(), TopologyError> {
         match edit {
-            // Done by the caller.
+            // The caller applies this edit.
             TopologyEdit::Load { .. } => Ok(()),
             TopologyEdit::AddNode(NewNode { name, pose, dwell_secs }) => {
                 self.add_node(name.clone(), *pose, *dwell_secs).map(drop)
@@ -189,7 +189,7 @@ impl Topology {
             }
         }
         parts.nodes.sort_by_key(|node| node.id);
-        // A duplicate edge has a duplicate number.
+        // A duplicate edge has a duplicate number, so that the two are neighbours after sorting.
         parts.edges.sort_by_key(|edge| edge.id);
         if let Some(pair) = parts.edges.windows(2).find(|pair| pair[0].id == pair[1].id) {
             return Err(TopologyError::DuplicateEdge(self.edge_name(&pair[0])));

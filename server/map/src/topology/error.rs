@@ -28,7 +28,7 @@ pub enum TopologyError {
     /// Two nodes or edges would have the same number, or a number that was not assigned yet.
     #[error("{what} number {found} is used twice or not below the next one, {next}")]
     Number {
-        /// "node" or "edge".
+        /// Either "node" or "edge".
         what: &'static str,
         /// The number.
         found: u32,
@@ -73,7 +73,7 @@ pub enum TopologyError {
     Pose {
         /// The node's name.
         node: String,
-        /// What was given.
+        /// The value given.
         found: f64,
     },
     /// The map would have too many nodes.

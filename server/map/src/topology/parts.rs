@@ -1,4 +1,4 @@
-//! Reading a topological map: by name, by number, by neighbourhood, and as parts that are stored.
+//! Reads a topological map: by name, by number, by neighbourhood, and as parts that are stored.
 //!
 //! Invariant: a map made of the parts of another is equal to it; parts that break a rule of the map are refused.
 
@@ -46,7 +46,7 @@ impl Topology {
 
     /// The edge from one node to another with an action.
     pub fn edge_between(&self, from: NodeId, to: NodeId, action: Option<&StateName>) -> Option<&Edge> {
-        // The end with fewer edges: a hub has many.
+        // The search uses the end with fewer edges, because a hub has many.
         let count = |node: NodeId| self.at_node.get(&node).map_or(0, Vec::len);
         let end = if count(from) <= count(to) { from } else { to };
         self.at(end).find(|edge| edge.from == from && edge.to == to && edge.action.as_ref() == action)
@@ -98,7 +98,7 @@ impl Topology {
         self.at_node.get(&node).into_iter().flatten().filter_map(|id| self.edges.get(id))
     }
 
-    /// The parts, to be stored.
+    /// The parts in the form that is stored.
     pub fn to_parts(&self) -> TopologyParts {
         TopologyParts {
             next_node: self.next_node,
@@ -111,7 +111,7 @@ impl Topology {
     /// The map of these parts.
     ///
     /// # Errors
-    /// [`TopologyError`], as the edits that would make it.
+    /// [`TopologyError`], in the cases in which the edits that make the map would return it.
     pub fn from_parts(parts: TopologyParts) -> Result<Topology, TopologyError> {
         let mut topology = Topology::new();
         (topology.next_node, topology.next_edge) = (parts.next_node, parts.next_edge);

@@ -10,7 +10,7 @@ use super::{Edge, NOMINAL_MAX_SECS, NodeId, Topology};
 /// Maximum number of pairs of nodes for [`Roads::all_pairs`]: 5,000 by 5,000, 200 MB.
 pub const ROADS_PAIRS_MAX: usize = 25_000_000;
 
-/// Why times cannot be computed.
+/// The reason why times cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RoadsError {
     /// The time of an edge is invalid.
@@ -18,13 +18,13 @@ pub enum RoadsError {
     Duration {
         /// Names of both ends.
         edge: String,
-        /// Seconds.
+        /// The time given, seconds.
         found: f64,
     },
     /// There are too many pairs.
     #[error("times between {found} nodes: at most {ROADS_PAIRS_MAX} pairs are kept")]
     TooManyPairs {
-        /// Nodes asked for.
+        /// The number of nodes requested.
         found: usize,
     },
 }
@@ -63,7 +63,7 @@ impl Roads {
             if !(found > 0.0 && found <= NOMINAL_MAX_SECS) {
                 return Err(RoadsError::Duration { edge: topology.edge_name(edge), found });
             }
-            // Both ends exist: the map's invariant.
+            // Both ends exist by the invariant of the map.
             if let (Ok(from), Ok(to)) = (nodes.binary_search(&edge.from), nodes.binary_search(&edge.to)) {
                 edges.push((from as u32, to as u32, found));
             }
@@ -90,7 +90,7 @@ impl Roads {
         self.nodes.is_empty()
     }
 
-    /// The index of a node; `None` if the map has none of this number.
+    /// The index of a node; `None` if the map has no node of this number.
     pub fn index_of(&self, node: NodeId) -> Option<usize> {
         self.nodes.binary_search(&node).ok()
     }
@@ -134,7 +134,7 @@ impl Roads {
 pub struct ShortestTimes {
     secs: Vec<f64>,
     before: Vec<u32>,
-    /// Times as bits, which order as the numbers do: none is negative.
+    /// Times as bits, which have the order of the numbers because none is negative.
     open: BinaryHeap<Reverse<(u64, u32)>>,
 }
 
@@ -144,7 +144,7 @@ impl ShortestTimes {
         self.run(roads, start, |_| false);
     }
 
-    /// Computes the times from a node until the time to another is known; the others may be missing, or too long.
+    /// Computes the times from a node until the time to a goal node is known; other times may be missing, or too long.
     pub fn between(&mut self, roads: &Roads, start: usize, goal: usize) {
         self.run(roads, start, |node| node == goal);
     }

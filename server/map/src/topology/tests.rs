@@ -1,4 +1,4 @@
-//! Edits and refusals of topological maps, and shortest times against a naive oracle.
+//! Tests edits and refusals of topological maps, and compares shortest times with a naive oracle.
 
 #![allow(clippy::unwrap_used)]
 
@@ -81,7 +81,7 @@ fn edges_between_the_same_nodes_differ_by_action() {
     flat.rename_edge(through_door, Some(name("door"))).unwrap();
     assert!(flat.edge_between(kitchen, hall, Some(&name("door"))).is_some());
     assert!(flat.edge_between(kitchen, hall, Some(&name("door_passing"))).is_none());
-    // 2 m at 0.5 m/s are 4 s; the shorter of the two counts.
+    // The time of 2 m at 0.5 m/s is 4 s; the shorter of the two edges counts.
     assert_eq!(times(&flat)[1], 4.0);
 }
 
@@ -155,7 +155,7 @@ fn all_pairs_of_a_large_map_are_refused() {
 }
 
 proptest! {
-    /// Against Floyd and Warshall's three loops, directions and parallel edges included.
+    /// Compares the times with Floyd and Warshall's three loops, directions and parallel edges included.
     #[test]
     fn shortest_times_agree_with_the_naive_ones(
         count in 1..9_usize,

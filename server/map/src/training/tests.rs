@@ -1,4 +1,4 @@
-//! Which models are trained again, on what, and what happens where that cannot be.
+//! Tests which models are trained again, on which data, and the outcome where they cannot be trained.
 
 use std::{
     collections::BTreeMap,
@@ -17,7 +17,7 @@ use crate::name::MapName;
 const DAY: i64 = 86_400 * 1_000_000_000;
 const HOUR: i64 = DAY / 24;
 
-/// Readings of earlier updates, and what was asked for.
+/// Readings of earlier updates, and a record of the requests.
 #[derive(Debug, Default)]
 struct Kept {
     readings: BTreeMap<StateId, Vec<Sample>>,
@@ -48,7 +48,7 @@ fn spec(retention: Retention) -> MapSpec {
     }
 }
 
-/// Every hour of some days; open by day, each state an hour later than the one before.
+/// Samples every hour of some days; the state is open by day, each state an hour later than the state before.
 fn samples(state: u32, days: std::ops::Range<i64>) -> Vec<Sample> {
     let sample = |hour: i64| {
         let open = (8..17).contains(&((hour - i64::from(state)).rem_euclid(24))) && hour % 7 != 3;
@@ -57,7 +57,7 @@ fn samples(state: u32, days: std::ops::Range<i64>) -> Vec<Sample> {
     (days.start * 24..days.end * 24).map(sample).collect()
 }
 
-/// States that were updated up to a day; what the last update had of each; and what those before had.
+/// States that were updated up to a day, with the data of the last update and of the earlier updates.
 struct World {
     spec: MapSpec,
     models: Vec<Arc<StateModel>>,
@@ -78,7 +78,7 @@ impl World {
         world
     }
 
-    /// As if a model had been trained on a day.
+    /// Makes the model as if it had been trained on a day.
     fn trained_on(&mut self, state: usize, day: i32) {
         let model = Calibrated::train(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("trained");
         self.models[state] = Arc::new(StateModel::clone(&self.models[state]).with_trained(model, LocalDay(day)));
@@ -101,7 +101,7 @@ impl World {
         Some((model, day.0))
     }
 
-    /// The states asked for, by batch.
+    /// The states requested, by batch.
     fn asked(&self) -> Vec<Vec<u32>> {
         let asked = self.kept.asked.lock().expect("sound");
         asked.iter().map(|batch| batch.iter().map(|wanted| wanted.state.0).collect()).collect()
@@ -132,7 +132,7 @@ fn a_model_is_trained_on_the_last_weeks_and_to_what_the_update_had() {
 fn late_readings_and_a_half_life_count() {
     let mut world = World::new(spec(Retention::Forever), 1, 20);
     world.spec.half_life_nanos = Some(3 * DAY);
-    // This update had an early day as well, which history lacks.
+    // This update also had an early day, which history lacks.
     let readings = world.kept.readings.get_mut(&StateId(0)).expect("known");
     readings.retain(|sample| sample.utc_nanos / DAY != 4);
     world.own[0].1.extend(samples(0, 4..5));
@@ -150,7 +150,7 @@ fn readings_that_cannot_be_had_cost_the_models_of_their_batch_alone() {
     world.trained_on(2, 3);
     let before = world.models.clone();
     world.kept.damaged = Some(StateId(2));
-    // Two states at once.
+    // The readings of two states fit at once.
     let outcome = world.train_due(Limits { readings: 2 * 20 * 24 + 5, ..LIMITS });
     assert_eq!(world.asked(), [vec![0, 1], vec![2, 3], vec![4]]);
     assert_eq!((outcome.trained, outcome.waiting, outcome.failed), (3, 0, 2));
@@ -160,7 +160,7 @@ fn readings_that_cannot_be_had_cost_the_models_of_their_batch_alone() {
         assert!(world.models[state].is_training_due(ModelKind::Calibrated));
     }
     assert_eq!(world.trained_of(4).map(|(_, day)| day), Some(19));
-    // What is repaired is trained by the next update.
+    // The next update trains the states whose history is repaired.
     world.kept.damaged = None;
     assert_eq!(world.train_due(LIMITS), TrainingOutcome { trained: 2, ..TrainingOutcome::default() });
 }
@@ -182,7 +182,7 @@ fn those_that_have_waited_longest_go_first() {
     }
     let days =
         |world: &World| (0..6).map(|state| world.trained_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
-    // Those that were never trained, then the one trained longest ago; the one just trained is not due.
+    // The models that were never trained go first, then the one trained longest ago; the one just trained is not due.
     let limits = Limits { models: |_| 3, ..LIMITS };
     assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, waiting: 2, ..TrainingOutcome::default() });
     assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);
@@ -195,7 +195,7 @@ fn nothing_is_trained_that_is_not_kept() {
     let mut world = World::new(spec(Retention::None), 2, 20);
     assert_eq!(world.train_due(LIMITS), TrainingOutcome::default());
     assert!(world.asked().is_empty() && world.trained_of(0).is_none());
-    // The map does not ask for history that its retention has dropped; it trains a model on the rest anyway.
+    // The map does not request history that its retention has dropped; it trains a model on the rest anyway.
     let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
     assert_eq!(world.train_due(LIMITS).trained, 1);
     let newest = 20 * DAY - HOUR;
@@ -226,7 +226,7 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_trained() {
     assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, waiting: 3, ..TrainingOutcome::default() });
     assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, ..TrainingOutcome::default() });
     assert_eq!(world.train_due(limits), TrainingOutcome::default());
-    // The readings of a state are asked for once, whatever is trained on them.
+    // The readings of a state are requested once, whatever is trained on them.
     assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
     for (number, model) in world.models.iter().enumerate() {
         for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {

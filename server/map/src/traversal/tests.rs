@@ -1,4 +1,4 @@
-//! What traversals say of their edges, and which of those that failed are kept.
+//! Tests the samples that traversals have for the states of their edges, and which failed traversals are kept.
 
 use proptest::prelude::*;
 

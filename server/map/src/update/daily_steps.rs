@@ -1,15 +1,15 @@
-//! The states of an update, learned local day by local day, with the training that is due after each day.
+//! Learns the states of an update local day by local day, with the training that is due after each day.
 //!
-//! What a map knows must not depend on how many days one update takes: a recording that is imported at once is learned
-//! as it would have been night by night. So each day is scored with the models as they were after the day before, and
+//! The learned data of a map must not depend on how many days one update takes: a recording that is imported at once is
+//! learned as it would have been night by night. So each day is scored with the models from after the day before, and
 //! models that are trained on readings are trained after the day on which a nightly update would have trained them,
 //! within the limits of a night.
 //!
-//! A row may stand for a million readings. So rows are learned up to a local midnight before which they stand for no
-//! more readings than one update may learn, at least for one local day. The others wait in the model of their state for
-//! the next update, which follows at once.
+//! A row may represent a million readings. So rows are learned up to a local midnight before which they represent no
+//! more readings than one update may learn, but at least for one local day. The other rows wait in the model of their
+//! state for the next update, which follows at once.
 //!
-//! Invariant: the result is that of one update a local day.
+//! Invariant: the result equals that of one update per local day.
 
 use std::{borrow::Cow, collections::BTreeMap, sync::Arc};
 
@@ -29,58 +29,59 @@ use crate::{
     training::{Pupil, StateReadings, Taught, TrainingOutcome, train_due},
 };
 
-/// What an update has learned.
+/// The result of the steps of an update.
 pub(super) struct Done {
-    /// What each state was taught; ascending.
+    /// The outcome of each state; ascending.
     pub(super) outcomes: Vec<(StateId, UpdateOutcome)>,
-    /// What was trained.
+    /// The outcome of the training.
     pub(super) training: TrainingOutcome,
-    /// The local midnight up to which rows are learned, nanoseconds UTC; later ones wait for the next update. `None`:
-    /// all are.
+    /// The local midnight up to which rows are learned, nanoseconds UTC; later rows wait for the next update. `None`:
+    /// all are learned.
     pub(super) stop_nanos: Option<i64>,
 }
 
 /// How an update learns its states.
 pub(super) struct DailySteps<'a> {
     pub(super) spec: &'a MapSpec,
-    /// What earlier updates have learned; `None`: nothing is trained.
+    /// The readings that earlier updates have learned; `None`: no model is trained.
     pub(super) readings: Option<&'a dyn StateReadings>,
-    /// Of each state that reports changes or events: where its rows are known to be complete.
+    /// For each state that reports changes or events: the time up to which its rows are known to be complete.
     pub(super) horizons: &'a BTreeMap<StateId, i64>,
-    /// Of the states that are learned anew.
+    /// All rows of the states that are learned anew.
     pub(super) anew: AllRows,
     pub(super) room: &'a RoomInUse,
-    /// The states that have one choice together: the first, and how many there are; ascending.
+    /// The states that share one choice of model: the first of each group, and how many there are; ascending.
     pub(super) together: Vec<(StateId, usize)>,
-    /// Maximum number of readings that rows stand for, but for those of the first local day, which are all learned.
+    /// Maximum number of readings that rows represent, except the readings of the first local day, which are all
+    /// learned.
     pub(super) readings_max: u64,
     /// Counts the states that are done.
     pub(super) pace: &'a dyn Pace,
 }
 
-/// What an update has of a state.
+/// The data of a state in an update.
 struct Lesson<'a> {
     id: StateId,
-    /// In order of time.
+    /// The samples in order of time.
     samples: Cow<'a, [Sample]>,
-    /// How many of them are learned.
+    /// Number of samples that are learned.
     learned: usize,
-    /// How many this update brings; the others were learned before.
+    /// Number of samples that this update brings; the others were learned before.
     new: usize,
-    /// What the samples stand for, if they are rows of changes or events.
+    /// The readings of the samples, if they are rows of changes or events.
     rows: Option<Rows>,
     outcome: Option<UpdateOutcome>,
 }
 
-/// The readings of rows that are left to learn.
+/// The readings of rows that are still to be learned.
 struct Rows {
     reporting: Reporting,
     readings: RowReadings,
-    /// What is learned when all of them are.
+    /// The state of learning when all these rows are learned.
     after: LearnedRows,
     offsets: OffsetCache,
     horizon_nanos: i64,
-    /// Up to where rows were learned before, exclusive.
+    /// The time up to which rows were learned before, exclusive.
     learned_nanos: i64,
 }
 
@@ -97,13 +98,13 @@ impl<'a> Lesson<'a> {
         Lesson { id, samples, learned: 0, new, rows: None, outcome: None }
     }
 
-    /// A lesson of all rows of a state, the new ones among them.
+    /// A lesson of all rows of a state, including the new rows.
     fn anew(id: StateId, rows: &'a [Sample], new: usize) -> Lesson<'a> {
         Lesson { new, ..Lesson::new(id, rows) }
     }
 
-    /// The samples as rows that stand for readings, where the state reports changes or events. Those from `stop_nanos`
-    /// on wait.
+    /// Treats the samples as rows that represent readings, where the state reports changes or events. Rows from
+    /// `stop_nanos` on wait.
     fn with_rows(self, model: &StateModel, horizon_nanos: i64, stop_nanos: i64, spec: &MapSpec) -> Lesson<'a> {
         let Some(learned) = model.learned_rows() else { return self };
         let (reporting, learned_nanos) = (model.reporting(), learned.next_nanos);
@@ -113,7 +114,7 @@ impl<'a> Lesson<'a> {
         Lesson { rows: Some(Rows { reporting, readings, after, offsets, horizon_nanos, learned_nanos }), ..self }
     }
 
-    /// The next day that it learns.
+    /// The next day that the lesson learns.
     fn day(&mut self) -> Option<LocalDay> {
         match &mut self.rows {
             None => self.samples.get(self.learned).map(Sample::local_day),
@@ -121,8 +122,8 @@ impl<'a> Lesson<'a> {
         }
     }
 
-    /// Takes the samples of the next day. Clocks set back over midnight return to a date that has already ended: this
-    /// is not a new day.
+    /// Takes the samples of the next day. If clocks are set back over midnight, a date that has already ended returns:
+    /// this is not a new day.
     fn take(&mut self, day: LocalDay) -> Vec<Sample> {
         if let Some(rows) = &mut self.rows {
             return rows.take(day);
@@ -140,7 +141,7 @@ impl<'a> Lesson<'a> {
         }
     }
 
-    /// What it has taught up to a day that ends at this instant.
+    /// The data that the lesson has taught up to a day that ends at this instant.
     fn taught(&self, end_nanos: i64) -> Taught<'_> {
         match &self.rows {
             None => Taught::samples(self.samples.get(..self.learned).unwrap_or(&[])),
@@ -188,7 +189,7 @@ fn of_day<'a, 'b>(day: LocalDay, lessons: &'b mut [Lesson<'a>], models: &'b mut 
         .collect()
 }
 
-/// Chooses one model for states that have one choice, given each with the choice before the day.
+/// Chooses one model for states that share a choice; each is given with its choice before the day.
 fn choose(before: &[(StateId, usize, ModelKind)], class: &mut Class<'_, '_>) {
     for &(first, count, before) in before {
         let start = class.partition_point(|(lesson, _)| lesson.id < first);
@@ -199,7 +200,7 @@ fn choose(before: &[(StateId, usize, ModelKind)], class: &mut Class<'_, '_>) {
 }
 
 impl DailySteps<'_> {
-    /// Of the states that have one choice together and learn on a day: what is chosen before it.
+    /// For the states that share a choice and learn on a day: the choice before the day.
     fn choices(&self, class: &Class<'_, '_>) -> Vec<(StateId, usize, ModelKind)> {
         let chosen = |&(first, count): &(StateId, usize)| {
             let at = class.binary_search_by_key(&first, |(lesson, _)| lesson.id).ok()?;
@@ -245,7 +246,7 @@ impl DailySteps<'_> {
         Ok(Done { outcomes, training, stop_nanos })
     }
 
-    /// A lesson for each state with observations, and for each whose rows hold; ascending.
+    /// A lesson for each state with observations, and for each state with rows that hold; ascending.
     fn lessons<'b>(&'b self, states: &'b [(StateId, Vec<Sample>)], models: &[Arc<StateModel>]) -> Vec<Lesson<'b>> {
         let with_rows = |lesson: Lesson<'b>| match self.horizons.get(&lesson.id).zip(models.get(lesson.id.0 as usize)) {
             Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, i64::MAX, self.spec),
@@ -263,8 +264,8 @@ impl DailySteps<'_> {
         lessons
     }
 
-    /// Where rows are learned up to, if all that they stand for is too much for one update: a local midnight, at the
-    /// earliest that after the first reading.
+    /// The time up to which rows are learned, if all their readings are too many for one update: a local midnight, at
+    /// the earliest the one after the first reading.
     fn stop_nanos(&self, lessons: &mut [Lesson<'_>], models: &[Arc<StateModel>]) -> Option<i64> {
         let readings_before = |stop_nanos: i64| -> u64 {
             let of_lesson = |lesson: &Lesson<'_>| {
@@ -285,7 +286,7 @@ impl DailySteps<'_> {
             Some((rows.readings.next_nanos()?, rows.horizon_nanos.max(newest)))
         };
         let (first, last) = lessons.iter().filter_map(ends).reduce(|all, one| (all.0.min(one.0), all.1.max(one.1)))?;
-        // The day that is learned in any case, and the first of which nothing is left.
+        // The end of the day that is learned in any case, and the first day with nothing left to learn.
         let (mut within, mut end) = (self.spec.zone.day_of(first).0 + 1, self.spec.zone.day_of(last).0 + 1);
         while end - within > 1 {
             let middle = within + (end - within) / 2;
@@ -298,7 +299,7 @@ impl DailySteps<'_> {
         (midnight(within) <= last).then(|| midnight(within))
     }
 
-    /// Lets the rows of a state from a time on wait.
+    /// Makes the rows of a state from a time on wait.
     fn stop(&self, lesson: &mut Lesson<'_>, models: &[Arc<StateModel>], stop_nanos: i64) {
         let Some((rows, model)) = lesson.rows.as_ref().zip(models.get(lesson.id.0 as usize)) else { return };
         let horizon_nanos = rows.horizon_nanos;
@@ -306,8 +307,8 @@ impl DailySteps<'_> {
         *lesson = before.with_rows(model, horizon_nanos, stop_nanos, self.spec);
     }
 
-    /// Stores how far the rows of each state are learned. Rows count as observations, not the readings that they stand
-    /// for.
+    /// Stores the time up to which the rows of each state are learned. Rows count as observations; the readings that
+    /// they represent do not.
     fn rows_are_learned(&self, lessons: &mut [Lesson<'_>], models: &mut [Arc<StateModel>]) {
         for lesson in lessons {
             let (Some(rows), Some(model)) = (&lesson.rows, models.get_mut(lesson.id.0 as usize)) else { continue };
@@ -315,7 +316,7 @@ impl DailySteps<'_> {
                 *model = Arc::new(StateModel::clone(model).with_reporting(rows.reporting, rows.after.clone()));
             }
             if lesson.outcome.is_none() {
-                // Nothing that a reading would be learned of, so far.
+                // So far the rows represent no reading that could be learned.
                 self.pace.add_done(1);
             }
             if lesson.new > 0 {
@@ -337,7 +338,7 @@ impl DailySteps<'_> {
         if lesson.outcome.is_some() {
             self.room.let_go(model);
         }
-        // Copied on the first day alone: readers have the model of before.
+        // The model is copied on the first day only: readers hold the model from before the update.
         let model = Arc::make_mut(model);
         model.load(periodicities).map_err(|reason| (lesson.id, reason))?;
         let mut judge = |before: &StateModel, of_day: &[Sample], surprises: &mut Surprises| {
@@ -356,7 +357,8 @@ impl DailySteps<'_> {
     }
 
     fn train_after(&self, day: LocalDay, class: Class<'_, '_>, readings: &dyn StateReadings) -> TrainingOutcome {
-        // Also of a day that has not ended: which readings are kept must not depend on the hour of the update.
+        // This also applies to a day that has not ended: the choice of readings must not depend on the hour of the
+        // update.
         let end_nanos = self.spec.zone.midnight_nanos(LocalDay(day.0.saturating_add(1)));
         let mut pupils: Vec<Pupil<'_>> = Vec::with_capacity(class.len());
         for (lesson, model) in class {

@@ -1,10 +1,10 @@
-//! States whose rows of changes or events come after an update has learned their time.
+//! Learns states anew whose rows of changes or events come after an update has learned their time.
 //!
-//! What a row stands for depends on the rows beside it. A row that comes late changes readings that were learned. So
-//! the state is learned anew, from all its rows, where history still has them, and as far as the work of one update is
-//! bounded: states of lower number first. Elsewhere the late rows are learned as single readings.
+//! The readings that a row represents depend on the rows beside it. A row that comes late changes readings that were
+//! learned. So the state is learned anew from all its rows, where history still has them, and as far as the bound on
+//! the work of one update allows: states of lower number first. Otherwise the late rows are learned as single readings.
 //!
-//! Invariant: a state that is learned anew is what it would be had its rows come in order of time.
+//! Invariant: a state that is learned anew equals the state whose rows come in order of time.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -18,32 +18,32 @@ use crate::{
     training::{ReadingsRequest, StateReadings, TRAINING_READINGS},
 };
 
-/// Maximum number of readings that the rows of all states that one update learns anew stand for: about a minute's work.
+/// Maximum number of readings that the rows of all states that one update learns anew represent: about a minute's work.
 const READINGS_ANEW: u64 = 20_000_000;
 
-/// What became of the states with late rows.
+/// The outcome for the states with late rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LateRowsOutcome {
     /// States that were learned anew.
     pub learned_anew: u64,
     /// States whose late rows are single readings, because history does not keep all their rows.
     pub not_kept: u64,
-    /// States whose late rows are single readings, because one update learns no more anew.
+    /// States whose late rows are single readings, because of the limit of readings that one update learns anew.
     pub beyond_bound: u64,
     /// States whose late rows are single readings, because their history could not be read.
     pub unreadable: u64,
-    /// Why it could not be read.
+    /// The reason why a history could not be read.
     pub failure: Option<String>,
 }
 
-/// What is needed to learn states anew.
+/// The data that is needed to learn states anew.
 #[derive(Debug)]
 pub(super) struct LateRows<'a> {
     pub(super) spec: &'a MapSpec,
     pub(super) prior_models: &'a PriorModels,
     /// The newest time that updates have learned, this one included, nanoseconds UTC.
     pub(super) learned_nanos: i64,
-    /// Maximum number of readings that rows stand for.
+    /// Maximum number of readings that rows represent.
     pub(super) readings_max: u64,
 }
 
@@ -55,8 +55,8 @@ impl<'a> LateRows<'a> {
         LateRows { spec, prior_models, learned_nanos, readings_max: READINGS_ANEW }
     }
 
-    /// Resets the models of the states with late rows whose rows history has, and returns all their rows. `states`:
-    /// with the rows of this update, in order of arrival. `models`: of all states.
+    /// Resets the models of the states with late rows whose rows history has, and returns all their rows. `states`: the
+    /// states with the rows of this update, in order of arrival. `models`: the models of all states.
     pub(super) fn begin(
         &self,
         states: &[(StateId, Vec<Sample>)],
@@ -97,13 +97,13 @@ impl<'a> LateRows<'a> {
         };
         for (((id, rows), learned), mut all) in chosen.into_iter().zip(earlier) {
             let Some(model) = models.get_mut(id.0 as usize) else { continue };
-            // Some may have been deleted.
+            // Some rows may have been deleted.
             if all.len() as u64 != learned {
                 outcome.not_kept += 1;
                 continue;
             }
             all.extend_from_slice(rows);
-            // Stable: of equal times the row that came last counts.
+            // The sort is stable: among equal times, the row that came last counts.
             all.sort_by_key(|row| row.utc_nanos);
             *model = self.prior_models.beginning_of(model);
             found.insert(*id, all);
@@ -112,7 +112,7 @@ impl<'a> LateRows<'a> {
         (found, outcome)
     }
 
-    /// What would be learned anew of a state; `None`: no row is late.
+    /// The data of a state to be learned anew; `None`: no row is late.
     fn late(&self, model: &StateModel, rows: &[Sample]) -> Option<LateState> {
         let (learned, reporting) = (model.learned_rows()?, model.reporting());
         let first_nanos = learned.first_nanos.filter(|_| {
@@ -125,8 +125,8 @@ impl<'a> LateRows<'a> {
         Some(LateState { first_nanos, rows: learned.rows, readings })
     }
 
-    /// Whether history keeps observations of this time. What an update learns must not depend on when others are
-    /// deleted.
+    /// Whether history keeps observations of this time. The data that an update learns must not depend on when other
+    /// observations are deleted.
     fn is_kept(&self, nanos: i64) -> bool {
         match self.spec.retention {
             Retention::None => false,
@@ -142,6 +142,6 @@ struct LateState {
     first_nanos: i64,
     /// Rows that were learned.
     rows: u64,
-    /// At most so many readings are to be learned.
+    /// Maximum number of readings to be learned.
     readings: u64,
 }

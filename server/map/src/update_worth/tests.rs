@@ -1,4 +1,4 @@
-//! What is extracted of pending observations, and that a map's worth is the sum of its states'.
+//! Tests the extract of pending observations, and that the worth of a map is the sum of the worths of its states.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -70,7 +70,7 @@ fn the_worth_of_a_map_is_the_sum_over_its_states() {
         observe(&mut map, &rows);
         update(&mut map);
     }
-    // One door keeps its hours; the other is shut by day now.
+    // One door keeps its hours; the other is now shut by day.
     let pending: Vec<_> = (480..504).flat_map(|hour| [row_of(0, hour), inverted(row_of(1, hour))]).collect();
     observe(&mut map, &pending);
     let view = map.publish();
@@ -128,7 +128,7 @@ fn rows_of_changes_are_judged_as_the_readings_that_they_stand_for() {
     let mut map = map_of(&[Reporting::Changes(hold)]);
     observe(&mut map, &[(0, 0, 0.0), (0, 9 * HOUR, 1.0), (0, 17 * HOUR, 0.0)]);
     let worth = map.publish().update_worth(map.pending_extract(10, 100), 100);
-    // Every hour from 0 to 17, and nothing is learned: the prior is 0.5.
+    // There are observations every hour from 0 to 17, and nothing is learned: the prior is 0.5.
     assert_eq!((worth.readings, worth.gain()), (18, 0.25));
     assert_eq!(map.publish().update_worth(map.pending_extract(10, 100), 5).readings, 5);
 }

@@ -1,4 +1,4 @@
-//! That each cell has one name.
+//! Each cell has one name.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Looks against the same scans one by one.
+//! Compares scoring in scan blocks with scoring the same scans one by one.
 
 use std::sync::Arc;
 
@@ -30,13 +30,13 @@ fn times(nanos: Vec<i64>) -> Times {
     Times::of_scans(nanos.clone(), nanos.into(), all, None)
 }
 
-/// A model with swings of an hour and more that leaves `[0,1]` at times.
+/// A model with swings of an hour and more whose predictions leave `[0,1]` at times.
 fn model() -> SpectralModel {
     let component = |k: u32| Component { periodicity: k * 11 + 2, gamma_re: 0.1, gamma_im: 0.02 * f64::from(k) - 0.1 };
     SpectralModel::from_parts(0.4, 100, (0..ORDER_MAX as u32).map(component).collect()).expect("valid")
 }
 
-/// Scores a cell of a group by looks; also returns how many scans counted.
+/// Scores a cell of a group in scan blocks; also returns the number of scans that counted.
 fn by_look(
     (times, rules): (&Times, &Rules),
     (observed, occupied): (&[bool], &[bool]),
@@ -60,7 +60,7 @@ fn by_look(
     (sums, scored)
 }
 
-/// Scores it scan by scan, each scan at the time that `at` gives it.
+/// Scores the cell scan by scan, each scan at the time that `at` returns for it.
 fn by_scan(
     (times, rules): (&Times, &Rules),
     (observed, occupied): (&[bool], &[bool]),
@@ -109,7 +109,7 @@ fn looks_and_scans_differ_by_less_than_a_thousandth_of_the_error() {
     for order in 0..=ORDER_MAX {
         let (a, b) = (looks.squared[order], scans.squared[order]);
         assert!((a - b).abs() < 1e-3 * b, "order {order}: {a} {b}");
-        // A look is not divided where the prediction crosses one half.
+        // A block is not divided where the prediction crosses one half.
         let (a, b) = (looks.wrong[order], scans.wrong[order]);
         assert!((a - b).abs() < 0.01 * b, "order {order}: {a} {b} wrong");
     }

@@ -1,4 +1,4 @@
-//! The times and changes of a day against every single reading.
+//! Compares the times and changes of a day with those of single readings.
 
 use proptest::prelude::*;
 use tidemap_model::{GapSample, Persistence};
@@ -33,7 +33,7 @@ proptest! {
             })
             .collect();
         if order == 2 {
-            // As if three robots sent an hour each at a time.
+            // The order of the scans is as if three robots sent an hour each at a time.
             scans.chunks_mut(7).for_each(<[_]>::reverse);
         }
         let times = times(scans.iter().map(|scan| scan.0).collect());

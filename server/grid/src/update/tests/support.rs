@@ -1,6 +1,7 @@
-//! Which rhythms of cells are used: a week is learned in weeks, noise has none, and a cell is judged as a named state.
+//! Which rhythms of cells are used: a week is learned in weeks, noise has no rhythm, and a cell is judged as a named
+//! state.
 //!
-//! Each day is sent and learned as the daemon does it. Invariant: everything is drawn from seeds.
+//! Each day is sent and learned as by the daemon. Invariant: all random values are drawn from seeds.
 
 use tidemap_model::{
     EnabledModels, InstantPhasors, OrderWatch, Periodicities, Sample, StateModel, UpdateRules, selector::ModelSelector,
@@ -20,7 +21,7 @@ const DAY: i64 = 24 * HOUR;
 const MINUTE: i64 = 60 * SECOND;
 const TILE: usize = 512;
 
-/// What a cell reads at a time; called in order of time for each cell.
+/// The reading of a cell at a time; called in order of time for each cell.
 type Value<'a> = &'a mut dyn FnMut(usize, i64) -> bool;
 
 /// A fixed sensor that sees some cells.
@@ -119,7 +120,7 @@ fn is_working_day(nanos: i64) -> bool {
 
 #[test]
 fn a_week_is_learned_by_the_fourth() {
-    // Free on weekdays, occupied on weekends; from each day of the week on.
+    // The cell is free on weekdays and occupied on weekends; the record begins on each day of the week.
     let half_hours: fn(&mut u64, i64) -> Vec<i64> = |_, day| every(30 * MINUTE, day);
     for (first, times) in (0..7).flat_map(|first| [(first, half_hours), (first, random_day)]) {
         let mut camera = Camera::new(2);
@@ -145,7 +146,7 @@ fn a_period_that_regular_scans_cannot_resolve_is_not_chosen() {
     assert!(model.spectral.components().iter().all(|component| component.periodicity < 7));
 }
 
-/// Noise: whether each cell is occupied at a time, by the state of its random numbers and its value before.
+/// Noise: whether each cell is occupied at a time, from the state of its random numbers and its value before.
 type Noise = (&'static str, fn(&mut u64, i64) -> Vec<i64>, fn(&mut u64, &mut Chain, i64) -> bool);
 
 /// A two-state chain.
@@ -186,7 +187,7 @@ fn random_day(rng: &mut u64, day: i64) -> Vec<i64> {
     times
 }
 
-/// Per kind of noise, the number of cells of which a rhythm is used.
+/// For each kind of noise, the number of cells whose model uses a rhythm.
 fn false_rhythms(cells: usize) -> Vec<(&'static str, usize)> {
     let found = NOISES.map(|(name, times, value)| {
         let mut camera = Camera::new(cells);
@@ -236,7 +237,7 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
                 0 => noise,
                 1 => (8..17).contains(&hour) && is_working_day(nanos) || uniform(&mut rng) < 0.05,
                 2 => is_working_day(nanos) != (uniform(&mut rng) < 0.1),
-                // A new routine after 40 days.
+                // The routine is new after 40 days.
                 _ => (if day < 40 { 8..17 } else { 17..23 }).contains(&hour) != (uniform(&mut rng) < 0.02),
             }
         });
@@ -249,7 +250,7 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
             let known = state.alternatives().expect("trained");
             let at = format!("day {day}, cell {cell}");
             assert_eq!(watch.supported_order(), known.supported_order(), "{at}");
-            // Before that the errors decide alone.
+            // Before that, the errors alone decide.
             if day >= 28 {
                 assert_eq!(usize::from(model.order), state.order(), "{at}");
             }
@@ -265,7 +266,7 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
     assert_eq!(rang, [3, 7, 11], "the cells with a new routine");
 }
 
-/// The predictions of a cell by default, every half-hour of the day after some days.
+/// The default predictions of a cell, every half-hour of the day after some days.
 fn next_day(camera: &mut Camera, day: i64, cell: usize) -> Vec<f64> {
     let view = GridView::new(&mut camera.grid);
     let at = |half_hour: i64| {

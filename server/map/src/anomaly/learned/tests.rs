@@ -1,4 +1,5 @@
-//! What was unusual is kept as it was before it was learned, and an update's size changes nothing.
+//! Unusual observations are kept with the judgement from before they were learned, and the size of an update changes
+//! nothing.
 
 use tidemap_model::{OrderCriterion, SURPRISE_RUNS_MAX};
 
@@ -7,7 +8,7 @@ use super::*;
 const MINUTE: i64 = 60_000_000_000;
 const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
-/// The first day is a Thursday: from Friday of the fourth week, 18:00, until Sunday, 12:00.
+/// The first day is a Thursday: the door is left open from Friday of the fourth week, 18:00, until Sunday, 12:00.
 const LEFT_OPEN: Range<i64> = 22 * DAY + 18 * HOUR..24 * DAY + 12 * HOUR;
 
 /// A door every ten minutes: open from nine to five, and for 42 hours in the fourth week; rarely open at other times.
@@ -42,11 +43,11 @@ fn strongest(surprises: &Surprises) -> SurpriseRun {
 fn a_door_left_open_stays_a_surprise_when_it_is_learned() {
     let model = learned((0..28).map(|day| day..day + 1));
     let run = strongest(model.surprises());
-    // The door is still open then, and shuts at 17 h: the edge of its usual hours is never certain.
+    // The door is still open then, and shuts at 17 h: the model is never certain at the edge of the door's usual hours.
     let ends = 24 * DAY + 9 * HOUR - 10 * MINUTE..24 * DAY + 17 * HOUR;
     assert!(run.first_nanos == LEFT_OPEN.start && ends.contains(&run.last_nanos), "{run:?}");
     assert!(run.is_above && run.value == 1.0 && run.probability <= 0.05, "{run:?}");
-    // Of the 42 hours 31 are not between nine and five. The second night is a surprise, too, though the first was
+    // Of the 42 hours, 31 are not between nine and five. The second night is a surprise too, though the first was
     // learned.
     assert!((170..=186).contains(&run.observations) && run.bits > 200.0, "{run:?}");
     let others = model.surprises().runs().iter().filter(|other| **other != run);

@@ -1,4 +1,4 @@
-//! What is well specified is rarely an anomaly, and what was planted always is.
+//! A well specified model rarely reports an anomaly, and always reports the planted ones.
 
 use tidemap_model::{OrderCriterion, Periodicities, Sample, SpectralModel, selector::ModelKind};
 
@@ -30,7 +30,7 @@ impl Random {
     }
 }
 
-/// What is expected in truth: a rhythm of a day, 6 at night and 30 by day.
+/// The true expected value: a rhythm of a day, 6 at night and 30 by day.
 fn truth(utc_nanos: i64) -> f64 {
     18.0 - 12.0 * (std::f64::consts::TAU * utc_nanos as f64 / (24.0 * HOUR_NANOS as f64)).cos()
 }
@@ -83,10 +83,10 @@ fn about_one_in_a_hundred_at_a_confidence_of_99_percent_and_every_planted_one() 
             share(&mean, 0, 0.99)
         );
         assert!(share(&spectral, order, 0.99) < 0.013, "{kind:?}: {}", share(&spectral, order, 0.99));
-        // And yet the interval is not wide for nothing.
+        // The interval is also not wider than necessary.
         assert!((0.05..0.12).contains(&share(&spectral, order, 0.9)), "{kind:?}: {}", share(&spectral, order, 0.9));
         assert!(share(&mean, 0, 0.99) < 0.013, "{kind:?}");
-        // What is usual by day is planted at night, by which the mean is not surprised.
+        // A value that is usual by day is planted at night; by the mean alone it is not unusual.
         for sample in fresh.iter().step_by(144) {
             let planted = spectral.tail(30.0, expect(sample, order), sample.moment());
             assert!(planted < 1e-6, "{kind:?}: {planted}");

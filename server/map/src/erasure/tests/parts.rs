@@ -1,4 +1,4 @@
-//! A map from which observations were erased is the map that never saw them, with updates at the same cuts.
+//! A map after an erasure of observations equals a map that never had them, with updates at the same cuts.
 
 use proptest::prelude::*;
 use tidemap_model::{EnabledModels, Sample};
@@ -36,7 +36,7 @@ struct Step {
     producer: u32,
     /// State, time in minutes since the beginning of the day, value in quarters.
     rows: Vec<(u32, i64, u8)>,
-    /// How far the update's cut lies before the end of the day, in minutes, and its cause.
+    /// The time by which the update's cut is before the end of the day, in minutes, and the update's cause.
     update: Option<(i64, bool)>,
 }
 
@@ -51,7 +51,7 @@ fn step() -> impl Strategy<Value = Step> {
     })
 }
 
-/// The events of a story; each step is of another day.
+/// The events of a story; each step is on a different day.
 fn story(steps: &[Step]) -> Vec<Event> {
     let (mut events, mut sequences, mut known) = (Vec::new(), [0_u64; PRODUCERS as usize], 0);
     let (mut generation, mut cut_nanos) = (0, 0);
@@ -75,7 +75,7 @@ fn story(steps: &[Step]) -> Vec<Event> {
                     last: sequences[producer] + u64::from(count),
                     content_crc: 7,
                 },
-                // What lies on the day after tomorrow waits.
+                // An observation of the day after tomorrow waits.
                 received_nanos: from + DAY,
                 refused: Vec::new(),
             },
@@ -115,8 +115,8 @@ fn number_producers(events: &mut [Event]) {
     }
 }
 
-/// A map after it has applied the events, from a snapshot with its history or from nothing; all that its updates
-/// published.
+/// A map after it has applied the events, from a snapshot with its history or from nothing; also returns all snapshots
+/// that its updates published.
 fn applied(
     spec: &Arc<MapSpec>,
     events: &[Event],
@@ -141,7 +141,7 @@ fn applied(
     (map, published, known.0)
 }
 
-/// The events without what is selected.
+/// The events without the selected observations.
 fn naive(events: &[Event], selection: &Selection) -> Vec<Event> {
     let without = |event: &Event| match event {
         Event::Observations(envelope, event) => {
@@ -215,7 +215,7 @@ fn compare(models: EnabledModels, steps: &[Step], selection: &Selection, saved: 
     let naive = naive(&events, selection);
     let (mut never, of_never, never_pieces) = applied(spec, &naive, None, Vec::new());
     let never_observed = never.publish().observations();
-    // The newest checkpoint may be older than the log's end, and history newer than it.
+    // The newest checkpoint may be older than the end of the log, and the history may be newer than the checkpoint.
     let at = saved % (published.len() + 1);
     let snapshot = at.checked_sub(1).and_then(|at| published.get(at));
     let decision = match decided(selection, snapshot, &pieces, &events) {
@@ -232,7 +232,7 @@ fn compare(models: EnabledModels, steps: &[Step], selection: &Selection, saved: 
         let left: Vec<Event> =
             (1..).zip(&events).map(|(position, event)| rewrite.event(position, event.clone())).collect();
         let kept: Vec<_> = pieces.iter().filter_map(|piece| rewrite.piece(piece)).map(Arc::new).collect();
-        // The ids of what is left, in a map that never had the states of which nothing is left.
+        // The ids of the remaining states, in a map that never had the states without remaining observations.
         let mut without = StateErasure::new(emptied.clone());
         let mut expected = |snapshot: &MapSnapshot| comparable(&without.snapshot(snapshot.clone()));
         if let (Some(after), Some(at)) = (&after, at.checked_sub(1)) {
@@ -317,7 +317,7 @@ fn what_the_history_does_not_tell_is_refused() {
         to_nanos: i64::MAX,
     };
     assert!(decided(&selection(Some(0), 0), snapshot, &pieces, &events).is_ok());
-    // Its file was deleted.
+    // The file of the day was deleted.
     let pending_from_nanos = 3 * DAY;
     let refused = decided(&selection(None, DAY), snapshot, &pieces[1..], &events);
     let missing = NotErasable::HistoryIncomplete { state: named("s0"), kept_from_nanos: Some(DAY), pending_from_nanos };

@@ -1,6 +1,6 @@
-//! The grid against a naive oracle: random robots in a small world, every cell compared after every step.
+//! Compares the grid with a naive oracle: random robots in a small world, with every cell compared after every step.
 //!
-//! Invariant: what happens follows from the seed alone, which a failure prints.
+//! Invariant: everything follows from the seed alone, which a failure prints.
 
 use proptest::prelude::*;
 use tidemap_grid::update::rules::UpdateLimits;
@@ -59,7 +59,7 @@ proptest! {
 }
 
 proptest! {
-    // Each has three worlds of some days.
+    // Each case has three worlds of some days.
     #![proptest_config(ProptestConfig { cases: config().cases.div_ceil(4), ..config() })]
 
     #[test]

@@ -1,4 +1,4 @@
-//! States that are not probabilities: how they are created, which values they take and what views show of them.
+//! Tests states that are not probabilities: how they are created, which values they take and which values views show.
 
 use tidemap_model::{
     models::Moment,
@@ -67,7 +67,7 @@ fn a_state_keeps_its_sensor_and_believes_it_before_and_after_an_update() {
     let read = event(&map, &[(0, HOUR, 1.0)]);
     apply(&mut map, &read);
     let belief = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
-    // Either value is as likely before it.
+    // Before the reading, both values are equally likely.
     let expected = 0.05 + 0.85 * 0.9 / 0.95;
     let now = |map: &mut LiveMap| predict_by(&map.publish(), 0, belief, HOUR);
     assert!((now(&mut map) - expected).abs() < 1e-12);
@@ -110,7 +110,7 @@ fn values_are_learned_restored_and_told_in_their_unit() {
         assert!(at(2, 6) < 1.0 && at(2, 6) >= 0.0 && (at(2, 18) - 7.0).abs() < 1.0, "{} {}", at(2, 6), at(2, 18));
         let latest = ModelSelector { kind: ModelKind::Latest, ..ModelSelector::default() };
         assert_eq!(predict_by(view, 1, latest, 300 * HOUR), -100.0);
-        // The last value fades within hours, for it changes twice a day.
+        // The last value fades within hours, because the state changes twice a day.
         let mean = ModelSelector { kind: ModelKind::Mean, blend: Blend::Persistence, ..ModelSelector::default() };
         let [soon, late] = [240, 400].map(|hour| predict_by(view, 1, mean, hour * HOUR));
         assert!((soon + 100.0).abs() < 30.0 && (late + 250.0).abs() < 5.0, "{soon} {late}");

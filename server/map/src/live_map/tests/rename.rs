@@ -1,4 +1,4 @@
-//! States that go with a node that is renamed.
+//! Tests that states are renamed with their node.
 
 use super::*;
 use crate::{
@@ -38,7 +38,7 @@ fn what_was_learned_of_a_node_is_found_under_its_new_name() {
     let snapshot = update(&mut map, None);
     let restored = LiveMap::restore(spec(), snapshot);
     assert_eq!(restored.find("node/hall/anna"), Some(StateId(2)));
-    // A name that is free again is given anew.
+    // A name that is free again can be given to a new state.
     let new = NewState::sampled(StateId(3), name("lobby"), StateShape::default());
     apply(&mut map, &Event::AddState(new));
     assert_eq!(map.find("lobby"), Some(StateId(3)));

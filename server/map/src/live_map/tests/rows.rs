@@ -1,4 +1,4 @@
-//! States that report changes and events: what is learned of them, and what they are now.
+//! Tests states that report changes and events: their learned data, and their current values.
 
 use tidemap_model::{Hold, Sample};
 
@@ -10,7 +10,7 @@ mod late;
 
 const MINUTE: i64 = 60_000_000_000;
 const DAY: i64 = 24 * HOUR;
-/// A Monday.
+/// The first day is a Monday.
 const MONDAY: i64 = 4 * DAY;
 
 fn hold(max: i64, step: i64) -> Hold {
@@ -33,7 +33,7 @@ impl Home {
         Home { map, position: 1, sequence: 0 }
     }
 
-    /// Rows arrive `late` after the last of them.
+    /// Sends rows, which arrive `late` after the last of them.
     fn observe(&mut self, rows: &[(i64, f64)], late: i64) {
         let mut observations = Observations::default();
         for &(utc_nanos, value) in rows {
@@ -89,7 +89,7 @@ fn changes_are_learned_as_the_values_that_hold_between_them() {
         let readings = (from..MONDAY + (day as i64 + 1) * DAY).step_by(5 * MINUTE as usize);
         let open = |at: i64| f64::from(u8::from((9..17).contains(&(at.rem_euclid(DAY) / HOUR))));
         sampled.observe(&readings.map(|at| (at, open(at))).collect::<Vec<_>>(), HOUR);
-        // The first row of the next day tells that nothing happened in the night.
+        // The first row of the next day shows that nothing happened in the night.
         if day < 13 {
             continue;
         }
@@ -120,7 +120,7 @@ fn what_a_sensor_says_now_is_known_as_long_as_its_last_change_holds() {
     let now = MONDAY + 7 * DAY + 15 * HOUR;
     let newest = |home: &mut Home, now| home.map.publish().as_of(now).live(StateId(0)).persistence.last();
     assert_eq!(newest(&mut home, now), Some((now, 1.0)));
-    // Its long-term model does not expect it in the evening, but it is still open.
+    // The long-term model does not expect the door to be open in the evening, but it still is.
     let evening = MONDAY + 7 * DAY + 20 * HOUR;
     assert!(home.predict(Some(evening), evening, "auto") < 0.2);
     assert!(home.predict(Some(evening), evening, "auto+belief") > 0.8);
@@ -128,7 +128,7 @@ fn what_a_sensor_says_now_is_known_as_long_as_its_last_change_holds() {
         home.predict(Some(evening), evening - HOUR, "auto+belief"),
         home.predict(Some(evening), evening, "auto+belief")
     );
-    // No longer than it may hold, and not at all of a recording that arrived later.
+    // A value holds no longer than its maximum time, and not at all in a recording that arrived later.
     assert_eq!(newest(&mut home, now + 5 * DAY), Some((MONDAY + 8 * DAY + 9 * HOUR, 1.0)));
     let mut recording = Home::new(StateKind::Probability, Reporting::Changes(hold(DAY, 5 * MINUTE)));
     recording.observe(&office_hours(7), 30 * DAY);
@@ -184,7 +184,7 @@ fn events_are_learned_as_their_number_in_each_step() {
     assert!(noon > 2.5 && noon < 4.2, "{noon}");
     assert!(home.predict(None, at(3), "auto") < 0.5);
     let view = home.map.publish();
-    // From the first noon to the last, whose hour has not ended.
+    // The readings are from the first noon to the last, whose hour has not ended.
     assert_eq!(view.model(StateId(0)).accumulator().observations(), 13 * 24);
     assert_eq!((view.live(StateId(0)).observations, view.pending_of(StateId(0))), (56, 0));
 }

@@ -1,4 +1,4 @@
-//! Models are trained at updates, and the same ones when updates are run again from the log.
+//! Tests that updates train models, and that updates that are run again from the log train equal models.
 
 use tidemap_model::{
     EnabledModels, Sample, StateKind,
@@ -14,7 +14,7 @@ use crate::{
 
 const DAYS: i64 = 40;
 
-/// What updates have folded in so far.
+/// The history of the updates so far.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pieces(pub(super) Vec<Arc<HistoryPiece>>);
 
@@ -31,14 +31,14 @@ impl StateReadings for Pieces {
     }
 }
 
-/// A number in [0, 1) that looks random.
+/// A number in [0, 1) that seems random.
 fn noise(seed: i64) -> f64 {
     let mixed = seed.unsigned_abs().wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     (mixed >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Two states read every hour of a day: one that is open by day, and one by chance.
+/// Two states read every hour of a day: one is open by day, the other at random.
 fn day(day: i64) -> Vec<(u32, i64, f64)> {
     let rows = (0..24).flat_map(|hour| {
         let open = (8..17).contains(&hour) && (day + 3) % 7 < 5;
@@ -80,7 +80,7 @@ fn updates_that_are_run_again_train_the_same_models() {
         let pieces_before = known.0.len();
         let (snapshot, outcome) = run(&mut map, work, &mut known);
         if outcome != TrainingOutcome::default() {
-            // In the first week the cheap model alone, of both states.
+            // In the first week the cheap model alone is trained, for both states.
             let of_day = if number < 6 { 2 } else { 8 };
             assert_eq!(outcome, TrainingOutcome { trained: of_day, ..TrainingOutcome::default() });
             trained.push(number);
@@ -99,7 +99,7 @@ fn updates_that_are_run_again_train_the_same_models() {
     for (snapshot, pieces_before) in snapshots.into_iter().step_by(4) {
         let (position, from) = (snapshot.position, snapshot.replay_from);
         let mut restored = LiveMap::restore(of_all(), snapshot);
-        // History reaches as far as the snapshot; what follows comes from the updates that are run again.
+        // History reaches as far as the snapshot; later history comes from the updates that are run again.
         let mut again = Pieces(known.0[..=pieces_before].to_vec());
         for (at, event) in (1..).zip(&log).filter(|(at, _)| *at >= from) {
             if at <= position {
@@ -148,11 +148,11 @@ fn without_an_ensemble_auto_answers_by_the_models_that_predict_best_together() {
     view.predict_trained_into(StateId(0), &view.moments(&times), &chosen, auto, &mut together);
     for ((auto, together), calibrated) in predicted(auto).iter().zip(&together).zip(&expected) {
         assert!((auto - together).abs() <= 1e-12, "{auto}, {together}");
-        // Its errors are by far the lowest.
+        // The errors of the calibrated model are by far the lowest.
         assert!((auto - calibrated).abs() <= 0.02, "{auto}, {calibrated}");
     }
     assert_eq!(auto.order_for(model), 0);
-    // Who asks for an order asks for the spectral model.
+    // A request for an order is a request for the spectral model.
     assert_ne!(predicted(ModelSelector { order: Some(2), ..auto }), expected);
     assert_ne!(predicted(ModelSelector { kind: ModelKind::Spectral, ..auto }), expected);
     assert_ne!(predicted(ModelSelector { blend: Blend::Persistence, ..auto }), expected);

@@ -1,4 +1,4 @@
-//! Vectors: a state of continuous values for each axis, all of them or none.
+//! Tests vectors: a state of continuous values for each axis, all of them or none.
 
 use super::*;
 use crate::event::{Dimensions, StateShape};
@@ -33,7 +33,7 @@ fn a_vector_is_there_with_all_its_axes() {
             None,
         ]
     );
-    // A name is one thing for ever, and numbers leave nothing out.
+    // A name always has one shape, and state ids have no gaps.
     for wrong in [vector(6, "anna", Dimensions::Three), vector(6, "door", Dimensions::Two), scalar(6, "drone")] {
         let error = map.apply(map.position() + 1, &wrong).expect_err("not new");
         assert!(error.reason.contains("is not new"), "{error}");

@@ -31,7 +31,7 @@ fn names_of_edges_are_stored_and_never_observed() {
         assert_eq!(StateName::observed(good), Err(InvalidName::Slash(good.to_owned())));
         assert!(name.check_vector().is_err());
     }
-    // A vector may be called so, and its axes are no states of edges.
+    // A vector may have this name, and its axes are not states of edges.
     let axis = StateName::stored("speed/x").expect("an axis");
     assert_eq!((axis.as_axis(), axis.as_edge()), (Some(("speed", 0)), None));
     for bad in

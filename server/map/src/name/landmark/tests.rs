@@ -1,4 +1,4 @@
-//! Names of landmarks' states.
+//! Tests the names of landmarks' states.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Edits by name: numbers that stay, refusals that change nothing.
+//! Tests edits by name: numbers stay, and refused edits change nothing.
 
 #![allow(clippy::unwrap_used)]
 

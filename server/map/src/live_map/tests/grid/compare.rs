@@ -1,6 +1,6 @@
-//! Every cell of the map against the oracle.
+//! Compares every cell of the map with the oracle.
 //!
-//! Invariant: a comparison changes nothing but the oracle's choice among equals.
+//! Invariant: a comparison changes nothing except the oracle's choice among equals.
 
 use tidemap_grid::{
     day::GridDay,
@@ -31,7 +31,7 @@ fn selectors() -> Vec<ModelSelector> {
 }
 
 impl World {
-    /// Compares everything that a view says.
+    /// Compares all values of a view.
     pub(crate) fn compare(&mut self, at: &str) {
         let view = self.map.publish();
         let grid = view.grid().expect("a grid").clone();
@@ -46,7 +46,7 @@ impl World {
             check_shape(&model, at);
             self.compare_tile(&grid, index, id, &model, at);
         }
-        // One of each: many steps make many.
+        // Each comparison uses one time and one selector: many steps make many comparisons.
         let times = [0, 7 * HOUR + 12_345, 1_711_900_000_000_000_000, 1_730_000_000_000_000_000];
         let utc_nanos = times[self.draw_number(times.len())];
         let selectors = selectors();
@@ -119,7 +119,7 @@ impl World {
         }
     }
 
-    /// Compares the sums of all changed cells with another world's, and both with the oracle's.
+    /// Compares the sums of all changed cells with those of another world, and both with the oracle's.
     pub(crate) fn compare_sums(&self, other: &World, at: &str) {
         for (&(index, cell), oracle) in &self.oracle.cells {
             let at = format!("{at}, tile {index:?}, cell {cell}");
@@ -155,7 +155,8 @@ impl World {
     }
 }
 
-/// Groups are disjoint and by their lowest cell, changed cells ascend, and the model holds no room it does not use.
+/// Checks that groups are disjoint and ordered by their lowest cell, that changed cells ascend, and that the model
+/// holds no room that it does not use.
 fn check_shape(model: &TileModel, at: &str) {
     let all: u32 = model.groups.iter().map(|group| group.cells.count()).sum();
     assert_eq!(all, model.observed().count(), "{at}: groups overlap");

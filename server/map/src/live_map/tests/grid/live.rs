@@ -1,4 +1,4 @@
-//! What waits, and sensors, in a map that takes scans.
+//! Tests scans that wait, and sensors, in a map that takes scans.
 
 use std::sync::Arc;
 
@@ -93,7 +93,7 @@ fn a_scan_of_another_sensor_changes_what_the_cells_before_it_count_as() {
     let other = ProducerSensor { hit: 0.6, false_alarm: 0.3 };
     let levels = [noise.levels(), SensorNoise { hit: other.hit, false_alarm: other.false_alarm, ..noise }.levels()];
     let mut expected = tidemap_model::Persistence::default();
-    // Both see the same cells as they are, two scans each in turn.
+    // Both see the same cells with the same values, two scans each in turn.
     for (position, utc_nanos) in (1_u64..).zip((100_000_000_000..).step_by(7_000_000_000)).take(6) {
         let producer = u32::try_from(position % 2).expect("0 or 1");
         let (turn, is_first) = (position.div_ceil(2), position <= 2);

@@ -1,6 +1,6 @@
-//! What is known of each cell, the naive way: every single observation, and a model of a single state per cell.
+//! The naive data of each cell: every single observation, and a model of a single state per cell.
 //!
-//! Invariant: nothing here knows of runs, groups or shared sums.
+//! Invariant: the oracle has no runs, groups or shared sums.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
@@ -15,7 +15,7 @@ use tidemap_model::{
     selector::{Blend, ModelKind, ModelSelector},
 };
 
-/// A reading: what it counts as, and what it was.
+/// A reading: the value that it counts as, and the value that was read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Read {
     pub(crate) sample: Sample,
@@ -31,15 +31,15 @@ pub(crate) struct CellOracle {
     pub(crate) folded: Vec<Read>,
     pub(crate) model: StateModel,
     pub(crate) persistence: Persistence,
-    /// Whether two components were as strong as each other, so that another choice is as good, or readings were scored
-    /// in one look, which a state scores one by one.
+    /// Whether two components were equally strong, so that another choice is as good, or readings were scored in one
+    /// scan block, which a state scores one by one.
     tied: bool,
     /// The single local hours with a reading that an update has learned: the day, its kind, and the hour.
     hours: Vec<(LocalDay, usize, usize)>,
     half_life_days: Option<f64>,
 }
 
-/// γ of all periodicities.
+/// The values γ of all periodicities.
 pub(crate) fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
     let n = if parts.observations == 0 { 1.0 } else { parts.weight };
     let mean = parts.sum / n;
@@ -77,7 +77,7 @@ impl CellOracle {
         self.half_life_days = half_life_days;
         let mut taken = std::mem::take(&mut self.taken);
         taken.sort_by_key(|read| read.sample.utc_nanos);
-        // Day by day, so that ties of each day's model are found.
+        // Readings are learned day by day, so that ties of each day's model are found.
         for of_day in taken.chunk_by(|one, next| one.sample.local_day() == next.sample.local_day()) {
             let is_shared = of_day.iter().any(|read| looks.has_others(read.sample.civil_nanos()));
             self.tied |= is_shared || self.has_tie(periodicities);
@@ -129,13 +129,14 @@ impl CellOracle {
         self.replace(StateModel::from_parts(accumulator, spectral, order, errors).expect("valid"));
     }
 
-    /// Takes other sums and components; what is known of the times of readings stays.
+    /// Takes other sums and components; the data about the times of readings stays.
     fn replace(&mut self, model: StateModel) {
         let known = self.model.alternatives().cloned();
         self.model = known.into_iter().fold(model, StateModel::with_alternatives);
     }
 
-    /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
+    /// Makes the cell a constant: a cell that never changed has the mean of its readings and nothing to be scored,
+    /// whatever its readings count as.
     fn be_constant(&mut self, periodicities: &Periodicities) {
         let parts = self.model.accumulator().to_summed_parts(periodicities);
         let mean = parts.sum / parts.weight;
@@ -145,7 +146,7 @@ impl CellOracle {
         self.tied = false;
     }
 
-    /// Whether a component might as well have been another.
+    /// Whether another component could equally well have been chosen.
     fn has_tie(&self, periodicities: &Periodicities) -> bool {
         let kept = self.model.spectral().components();
         let mut all: Vec<f64> = gammas(&self.model.accumulator().to_summed_parts(periodicities))
@@ -154,11 +155,11 @@ impl CellOracle {
             .collect();
         all.sort_by(|a, b| b.total_cmp(a));
         let weakest = kept.last().map_or(0.0, |component| component.amplitude() / 2.0);
-        // Those that are not eligible may tie without harm: this is too careful, and rarely so.
+        // Components that are not eligible may tie without harm: this check is too careful, and rarely so.
         all.windows(2).any(|pair| pair[0] >= weakest && pair[0] > 1e-9 && pair[0] - pair[1] < 1e-9)
     }
 
-    /// Whether it was ever read as both free and occupied.
+    /// Whether the cell was ever read as both free and occupied.
     pub(crate) fn has_changed(&self) -> bool {
         self.folded.windows(2).any(|pair| pair[0].is_occupied != pair[1].is_occupied)
     }
@@ -200,7 +201,7 @@ impl CellOracle {
         HoursSeen::of_looks(&looks)
     }
 
-    /// Compares what a view says of the cell.
+    /// Compares the view's description of the cell.
     pub(crate) fn compare(&self, found: &CellDescription, at: &str) {
         let (ours, theirs) = (self.persistence.to_parts(), found.persistence.to_parts());
         assert_eq!((ours.pairs, ours.last), (theirs.pairs, theirs.last), "{at}: persistence");
@@ -214,8 +215,8 @@ impl CellOracle {
         assert_eq!(found.errors.is_some(), found.changed, "{at}: errors");
     }
 
-    /// Compares a changed cell's components, orders and errors. What is as good as the oracle's choice becomes the
-    /// oracle's.
+    /// Compares a changed cell's components, orders and errors. A choice of the map that is as good as the oracle's
+    /// choice becomes the oracle's choice.
     pub(crate) fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
         let parts = self.model.accumulator().to_summed_parts(periodicities);
         let gammas = gammas(&parts);
@@ -243,7 +244,7 @@ impl CellOracle {
             let (a, b) = (found.errors.best(), self.model.errors().best());
             let is_tie = |order: usize| (ours[order] - lowest * 1.001).abs() < 1e-7;
             assert!(a == b || is_tie(a.min(b)) || lowest < 1e-7, "{at}: best order {a}, expected {b} by {ours:?}");
-            // Which components are supported is compared for single cells, whose readings count as 0 and 1.
+            // The supported components are compared for single cells, whose readings count as 0 and 1.
             assert!(usize::from(found.order) <= a, "{at}: order {} of {a}", found.order);
         }
         let spectral = SpectralModel::from_parts(parts.sum / parts.weight, parts.observations, kept.to_vec());
@@ -259,7 +260,7 @@ pub(crate) fn near(a: f64, b: f64, tolerance: f64, at: &str, what: &str) {
     assert!((a - b).abs() <= tolerance, "{at}: {what} is {a}, or {b}");
 }
 
-/// The times of all scans, by look.
+/// The times of all scans, by scan block.
 #[derive(Clone, Debug)]
 struct Looks {
     periodicities: Periodicities,
@@ -271,7 +272,7 @@ impl Looks {
         civil_nanos.div_euclid(self.periodicities.look_nanos())
     }
 
-    /// Whether the look of a scan has scans of other times.
+    /// Whether the scan block of a scan has scans of other times.
     fn has_others(&self, civil_nanos: i64) -> bool {
         self.civil_nanos.get(&self.look(civil_nanos)).is_some_and(|times| times.len() > 1)
     }
@@ -293,7 +294,7 @@ impl Oracle {
         Oracle { looks, criterion, half_life_days, cells: BTreeMap::new(), cell_observations: 0 }
     }
 
-    /// A scan was made, whatever it showed.
+    /// Records that a scan was made, whatever it showed.
     pub(crate) fn scan(&mut self, civil_nanos: i64) {
         self.looks.civil_nanos.entry(self.looks.look(civil_nanos)).or_default().insert(civil_nanos);
     }

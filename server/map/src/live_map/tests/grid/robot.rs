@@ -1,6 +1,7 @@
-//! A robot that looks at tiles and streams what it sees.
+//! A robot that looks at tiles and streams the tiles that it sees.
 //!
-//! Invariant: what is sent is the difference from what was sent of the same tile before, whether that was taken or not.
+//! Invariant: a robot sends the difference from its last message about the same tile, whether that message was accepted
+//! or not.
 
 use std::sync::Arc;
 use tidemap_grid::{
@@ -17,7 +18,7 @@ const TILES: [TileIndex; 3] =
     [TileIndex { x: 0, y: 0, z: 0 }, TileIndex { x: -1, y: 0, z: 2 }, TileIndex { x: 5, y: -5, z: 0 }];
 /// Cells that change.
 const CELLS: [u16; 8] = [0, 1, 63, 64, 65, 200, 447, 511];
-/// Cells that are observed now and then, the first always free, the others always occupied.
+/// Cells that are observed now and then; the first is always free, the others are always occupied.
 const STEADY: [u16; 3] = [300, 301, 302];
 
 /// Sensors that robots may have.
@@ -27,35 +28,35 @@ pub(crate) const SENSORS: [ProducerSensor; 3] = [
     ProducerSensor { hit: 0.83, false_alarm: 0.07 },
 ];
 
-/// A number below `below`.
+/// A random number below `below`.
 pub(crate) fn random(rng: &mut u64, below: usize) -> usize {
-    // SplitMix64.
+    // The generator is SplitMix64.
     *rng = rng.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mixed = (*rng ^ *rng >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     (((u128::from(mixed ^ mixed >> 31)) * below as u128) >> 64) as usize
 }
 
-/// What a robot saw.
+/// The tiles that a robot saw.
 #[derive(Clone, Debug)]
 pub(crate) struct Seen {
     pub(crate) robot: usize,
     pub(crate) utc_nanos: i64,
-    /// By slot.
+    /// The tiles by slot.
     pub(crate) tiles: Vec<(TileIndex, TileMasks)>,
 }
 
 /// A robot and its stream.
 pub(crate) struct Robot {
     pub(crate) key: ProducerKey,
-    /// What it announces.
+    /// The sensor that the robot announces.
     pub(crate) sensor: Option<ProducerSensor>,
     pub(crate) source: StreamTiles,
     table: Vec<TileIndex>,
-    /// What it has sent of each tile of its table.
+    /// The masks that the robot has sent of each tile of its table.
     shown: Vec<TileMasks>,
     sent: Option<Arc<[u32]>>,
-    /// What it sees.
+    /// The tiles that the robot sees now.
     sight: Vec<(TileIndex, TileMasks)>,
     looks_at: usize,
 }
@@ -77,7 +78,7 @@ impl Robot {
         }
     }
 
-    /// Sees something that differs a little from before.
+    /// Looks again: the robot sees masks that differ a little from before.
     pub(crate) fn look(&mut self, robot: usize, utc_nanos: i64, rng: &mut u64) -> Seen {
         if random(rng, 3) == 0 {
             self.looks_at = random(rng, 1 << TILES.len());
@@ -104,7 +105,7 @@ impl Robot {
         Seen { robot, utc_nanos, tiles }
     }
 
-    /// Says it as a stream does.
+    /// Sends the tiles seen in the form of a stream.
     pub(crate) fn send(&mut self, seen: &Seen) -> StreamScan {
         let mut tiles: Vec<(u32, TileMasks)> = Vec::new();
         for &(tile, masks) in &seen.tiles {

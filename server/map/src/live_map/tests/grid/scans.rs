@@ -1,4 +1,4 @@
-//! What is known of scans, the naive way: each of them, whole.
+//! The naive data of scans: each of them, whole.
 //!
 //! Invariant: scans are kept in order of arrival; those that had to wait arrive when their time has come.
 
@@ -17,7 +17,7 @@ use tidemap_model::{LocalDay, Periodicities};
 use super::robot::Seen;
 use crate::history::HistoryPiece;
 
-/// A scan and what it showed.
+/// A scan with the masks that it showed.
 #[derive(Clone, Debug)]
 struct Whole {
     utc_nanos: i64,
@@ -55,7 +55,7 @@ impl ScanOracle {
         (self.pending.len() + self.future.len()) as u64
     }
 
-    /// Compares with what the update says that it has folded in.
+    /// Compares the oracle with the scans that the update reports as folded in.
     pub(crate) fn finish_update(
         &mut self,
         outcome: &GridOutcome,
@@ -70,7 +70,7 @@ impl ScanOracle {
         let [before, now] =
             [outcome.cells_by_order_before, outcome.cells_by_order].map(|cells| cells.iter().sum::<u64>());
         assert!(before <= now && now == outcome.changed_cells, "{outcome:?}");
-        // What is chosen is one of the orders, cell by cell.
+        // The chosen order is one of the orders, cell by cell.
         let all = outcome.cells.squared_errors.iter().sum::<f64>();
         assert!((0.0..=all + 1e-9).contains(&outcome.cells.squared_error_chosen), "{outcome:?}");
         let mut by_day: BTreeMap<LocalDay, Vec<Whole>> = BTreeMap::new();
@@ -98,7 +98,7 @@ impl ScanOracle {
     }
 }
 
-/// What each scan of a day showed.
+/// The masks of each scan of a day.
 fn unfold(day: &GridDay) -> Vec<BTreeMap<TileId, TileMasks>> {
     let mut shown = vec![BTreeMap::new(); day.scans.len()];
     for ((id, tile), ranges) in day.tiles().zip(&day.presence_by_tile()) {

@@ -1,6 +1,7 @@
 //! A small world: some robots that scan some tiles, the map that takes their scans, and the oracle.
 //!
-//! Invariant: the map hears only what a stream would send, the oracle what the robots have seen.
+//! Invariant: the map receives only the messages that a stream would send; the oracle receives the tiles that the
+//! robots have seen.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -32,10 +33,10 @@ use crate::{
 
 pub(crate) const SECOND: i64 = 1_000_000_000;
 pub(crate) const HOUR: i64 = 3600 * SECOND;
-/// Saturday evening before clocks go forward in London, or back.
+/// Saturday evenings before clocks go forward in London, and before they go back.
 const EVENINGS: [i64; 2] = [1_711_828_800 * SECOND, 1_729_972_800 * SECOND];
 
-/// Limits of updates at which small worlds arrive often.
+/// Limits of updates that small worlds often reach.
 pub(crate) const SMALL: UpdateLimits =
     UpdateLimits { chunk_scans: 3, summed_groups_max: 2, runs_per_sum: 4, batch_cells_min: 2, batch_cells_max: 4 };
 
@@ -51,7 +52,7 @@ pub(crate) struct World {
     log: Vec<Event>,
     pub(crate) snapshot: Option<MapSnapshot>,
     running: Option<UpdateWork>,
-    /// By the server's clock.
+    /// The time of the server's clock.
     now_nanos: i64,
     max_tiles: usize,
     pub(crate) limits: UpdateLimits,
@@ -68,7 +69,7 @@ pub(crate) fn spec(rng: &mut u64) -> MapSpec {
         periodicities: match random(rng, 4) {
             0 => Periodicities::list(vec![5 * HOUR, 24 * HOUR, 70_000 * SECOND]).expect("valid"),
             _ => Periodicities::harmonics(36 * HOUR, 20).expect("valid"),
-        }, // Without noise predictions of exactly 0.5 occur, whose side is a matter of rounding.
+        }, // Without noise, predictions of exactly 0.5 occur; rounding decides their side.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
         grid: Some(GridSpec { sensor, retention: Retention::Forever, ..GridSpec::new(0.1) }),
         ..MapSpec::new(MapName::new("world").expect("valid"))
@@ -120,7 +121,7 @@ impl World {
         random(&mut self.rng, below)
     }
 
-    /// Something happens.
+    /// Makes one random step.
     pub(crate) fn step(&mut self) {
         match random(&mut self.rng, 100) {
             0..74 => {
@@ -147,7 +148,7 @@ impl World {
         }
     }
 
-    /// What a robot sees next.
+    /// Draws the tiles that a robot sees next.
     fn draw(&mut self, robot: usize) -> Seen {
         let rng = &mut self.rng;
         if random(rng, 4) > 0 {
@@ -176,7 +177,7 @@ impl World {
         }
     }
 
-    /// Sends scans in batches of that many where robots alternate not sooner.
+    /// Sends scans in batches of this many, or fewer where the robot changes.
     pub(crate) fn send_all(&mut self, scans: &[Seen], batch: usize) {
         self.now_nanos = scans.iter().map(|scan| scan.utc_nanos).fold(self.now_nanos, i64::max);
         for of_robot in scans.chunk_by(|one, next| one.robot == next.robot) {
@@ -184,8 +185,8 @@ impl World {
         }
     }
 
-    /// Sends scans, ascending by time, with an update after each local day whose number from the first `closes`, and
-    /// one of the rest. Robots take turns.
+    /// Sends scans, ascending by time, with an update after each local day for whose number from the first day `closes`
+    /// is true, and an update of the rest. Robots take turns.
     pub(crate) fn send_by_day(&mut self, scans: &[Seen], batch: usize, closes: impl Fn(usize) -> bool) {
         let zone = self.spec.zone.clone();
         let day_of = |scan: &Seen| zone.day_of(scan.utc_nanos);
@@ -202,7 +203,7 @@ impl World {
         self.settle();
     }
 
-    /// Whether the tiles know what those of another world know, to the last bit.
+    /// Whether the learned data of the tiles equals that of another world, to the last bit.
     pub(crate) fn knows_the_same(&self, other: &World) -> bool {
         let known = |world: &World| {
             let grid = world.snapshot.as_ref().and_then(|snapshot| snapshot.grid.as_ref()).expect("updated");
@@ -299,14 +300,14 @@ impl World {
         self.snapshot = Some(snapshot);
     }
 
-    /// An update of all there is.
+    /// Runs an update of all pending scans.
     pub(crate) fn settle(&mut self) {
         self.finish_update();
         self.start_update(None);
         self.finish_update();
     }
 
-    /// The daemon starts anew from the last snapshot and the log; streams connect again.
+    /// Restarts the daemon from the last snapshot and the log; streams connect again.
     pub(crate) fn restore(&mut self) {
         let (known, from, generation) =
             self.snapshot.as_ref().map_or((0, 1, 0), |known| (known.position, known.replay_from, known.generation));

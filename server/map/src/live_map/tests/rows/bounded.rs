@@ -1,4 +1,4 @@
-//! Rows that stand for more readings than one update learns: several updates learn them, as one would.
+//! Tests rows that represent more readings than one update learns: several updates learn them as one update would.
 
 use super::{late::KeptHome, *};
 use tidemap_grid::spec::Retention;
@@ -10,7 +10,7 @@ fn changes() -> Reporting {
     Reporting::Changes(hold(7 * DAY, 5 * MINUTE))
 }
 
-/// A door whose office hours have arrived, and that its producer was heard of until the end of the last day.
+/// A door whose office hours have arrived, with observations of its producer until the end of the last day.
 fn arrived(reporting: Reporting) -> KeptHome {
     let kind = if matches!(reporting, Reporting::Events(_)) { StateKind::Count } else { StateKind::Probability };
     let mut home = KeptHome::new(kind, reporting, Retention::Forever);
@@ -61,7 +61,7 @@ fn what_waits_is_learned_after_a_restart() {
 #[test]
 fn rows_of_before_the_last_update_are_bounded_too() {
     let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
-    // The map has learned up to here.
+    // The map has learned the rows up to this time.
     home.update_bounded(MONDAY + 30 * DAY, u64::MAX);
     home.home.observe(&office_hours(DAYS), 30 * DAY);
     let mut updates = 1;
@@ -86,7 +86,7 @@ fn rows_that_come_meanwhile_are_learned_in_their_order() {
     home.home.observe(&late[1..], HOUR);
     home.home.observe(&late[..1], HOUR);
     while home.update_bounded(end, 0).is_some() {}
-    // The first row came late, so that the state is learned anew: the same in the end.
+    // The first row came late, so the state is learned anew, with an equal result in the end.
     assert_eq!(home.model(), at_once.model());
 }
 

@@ -1,4 +1,4 @@
-//! Rows that come after an update has learned their time: their states are learned anew.
+//! Tests rows that come after an update has learned their time: their states are learned anew.
 
 use tidemap_grid::spec::Retention;
 use tidemap_model::catalogue::ModelKind;
@@ -16,7 +16,7 @@ const DOOR: StateId = StateId(0);
 pub(super) struct KeptHome {
     pub(super) home: Home,
     known: Pieces,
-    /// Of the last update.
+    /// The snapshot of the last update.
     snapshot: Option<MapSnapshot>,
 }
 
@@ -31,14 +31,15 @@ impl KeptHome {
         KeptHome { home, known: Pieces::default(), snapshot: None }
     }
 
-    /// Learns what has arrived. Returns how many states were learned anew, and how many with single readings.
+    /// Learns all rows that have arrived. Returns the number of states learned anew, and of states with single
+    /// readings.
     fn update(&mut self, until: i64) -> (u64, u64) {
         let outcome = self.update_from(until, Arc::new(self.known.clone()));
         (outcome.learned_anew, outcome.not_kept + outcome.beyond_bound + outcome.unreadable)
     }
 
-    /// Learns what has arrived, as far as rows stand for no more readings than these. Returns up to where rows are
-    /// learned, if some wait.
+    /// Learns the rows that have arrived, up to this many readings. Returns the time up to which rows are learned, if
+    /// some wait.
     pub(super) fn update_bounded(&mut self, until: i64, readings_max: u64) -> Option<i64> {
         let source = Arc::new(self.known.clone());
         let result = self.run(until, source, |work| work.with_readings_max(readings_max));
@@ -47,7 +48,7 @@ impl KeptHome {
         to_nanos
     }
 
-    /// The map as its checkpoint has it.
+    /// Restarts the map from its checkpoint.
     pub(super) fn restart(&mut self) {
         let snapshot = self.snapshot.take().expect("an update");
         self.home.map = LiveMap::restore(Arc::clone(self.home.map.spec()), snapshot);
@@ -91,7 +92,7 @@ fn changes() -> Reporting {
 fn a_state_whose_refused_rows_come_after_an_update_is_learned_anew() {
     let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
     let (on, off): (Vec<_>, Vec<_>) = office_hours(14).into_iter().partition(|(_, value)| *value == 1.0);
-    // The words for "off" were not known at first: the door is always open.
+    // The words for "off" were not known at first: the door seems to be always open.
     home.home.observe(&on, HOUR);
     assert_eq!(home.update(MONDAY + 14 * DAY), (0, 0));
     assert!(home.home.predict(None, MONDAY + 14 * DAY + 3 * HOUR, "auto") > 0.9);
@@ -153,7 +154,7 @@ fn late_rows_are_single_readings_where_history_is_not_kept() {
         assert_eq!(home.update(MONDAY + 14 * DAY), (0, 1));
         assert_eq!(home.model().accumulator().observations(), before + 1);
     }
-    // All its rows are younger than what is kept.
+    // All rows of the state are younger than the retention time.
     let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Duration(30 * DAY));
     home.home.observe(&office_hours(14), HOUR);
     home.update(MONDAY + 14 * DAY);
@@ -189,7 +190,7 @@ fn late_rows_are_single_readings_where_history_is_damaged_or_incomplete() {
 
 #[test]
 fn what_one_update_learns_anew_is_bounded_by_what_rows_stand_for() {
-    // A reading each second: 20 million are 231 days.
+    // There is a reading each second: 20 million readings are 231 days.
     for (days, expected) in [(230, (1, 0)), (232, (0, 1))] {
         let reporting = Reporting::Changes(hold(HOUR, 1_000_000_000));
         let mut home = KeptHome::new(StateKind::Probability, reporting, Retention::Forever);
