@@ -77,7 +77,7 @@ pub fn cell_from_wire(field: &str, name: &str) -> Result<Option<CellIndex>, Inva
     CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error))
 }
 
-/// A request for a prediction of the grid of a map. `estimate_only`: only the header is asked for.
+/// A request for a prediction of the grid of a map. `estimate_only`: it requests only the header.
 #[must_use]
 pub fn question_to_wire(map: &str, question: &GridQuestion, estimate_only: bool) -> v1::PredictGridRequest {
     let GridQuestion { utc_nanos, selector, region, project, output } = *question;

@@ -91,13 +91,13 @@ pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result
 /// A tour of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TourRequest {
-    /// Where it starts: x, y in metres; `None`: at the charger of the map.
+    /// Start of the tour: x, y in metres; `None`: at the charger of the map.
     start_m: Option<[f64; 2]>,
     question: TourQuestion,
 }
 
 impl TourRequest {
-    /// The question of the tour, which starts where it was asked for, or else at the charger; `None`: there is neither.
+    /// The question of the tour, which starts at the requested place, or else at the charger; `None`: there is neither.
     #[must_use]
     pub fn starting_at(self, charger_m: Option<[f64; 2]>) -> Option<TourQuestion> {
         let start_m = self.start_m.or(charger_m)?;
@@ -272,7 +272,7 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
     }
 }
 
-/// A measure of the worth of a look for the wire.
+/// A measure of the worth of an observation for the wire.
 #[must_use]
 pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
     match measure {
@@ -282,10 +282,10 @@ pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
     }
 }
 
-/// How the worth of a look is measured. `is_counted`: whether looks at what is asked for are counted.
+/// How the worth of an observation is measured. `is_counted`: whether observations of the targets are counted.
 ///
 /// # Errors
-/// The measure is unknown, or needs looks that are not counted.
+/// The measure is unknown, or needs observations that are not counted.
 pub fn measure_from_wire(field: &str, measure: i32, is_counted: bool) -> Result<InformationMeasure, InvalidField> {
     let unknown = |_| InvalidField::new(field, format!("{measure} is not known"));
     match v1::InformationMeasure::try_from(measure).map_err(unknown)? {

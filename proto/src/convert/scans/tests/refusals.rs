@@ -1,4 +1,4 @@
-//! What is wrong refuses a scan, or ends the stream, and says the value.
+//! An error refuses a scan, or ends the stream, and its text contains the value.
 
 use super::*;
 
