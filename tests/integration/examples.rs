@@ -87,8 +87,7 @@ pages! {
     wire: "docs/src/wire.md",
 }
 
-/// Stands for the command line: shows a table where a reader would see one, which is where the output is not
-/// redirected.
+/// Replaces the command line: shows a table where a reader would see one, which is where the output is not redirected.
 const PROGRAM_SCRIPT: &str = r#"#!/bin/sh
 program="$TIDEMAP_BUILT/$(basename "$0")"
 case " $* " in *" --output "*) exec "$program" "$@" ;; esac
@@ -116,7 +115,7 @@ fn run(path: &str) {
     let renewed = reader.follow_all(path, &blocks);
     reader.daemon.stop_in_order();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-    // From the last block on, so that the lines of those before stay where they are.
+    // From the last block on, so that the lines of the blocks before stay where they are.
     for (place, output) in renewed.iter().rev() {
         lines.splice(place.clone(), output.lines().map(str::to_owned));
     }
@@ -233,7 +232,7 @@ fn wait(mut command: Command) -> std::io::Result<ExitStatus> {
             None => thread::sleep(POLL),
         }
     };
-    // What the block left running in the background, or all of it.
+    // Kills the processes that the block left running in the background, or all of them.
     if let Some(group) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
         let _ = kill_process_group(group, Signal::KILL);
     }

@@ -155,7 +155,7 @@ fn counts_are_learned_as_counts() {
     let sent = observe(&daemon, "learn", &learn, &[]).table();
     assert_eq!((sent.number("accepted"), sent.number("refused")), (21.0 * 144.0, 0.0));
 
-    // It is untrained: 0, and no interval.
+    // The state is untrained: 0, and no interval.
     let at = (START_SECS + 30 * DAY_SECS + 12 * 3600).to_string();
     let reply = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
     assert_eq!(

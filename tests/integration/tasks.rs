@@ -147,7 +147,7 @@ fn reports_are_taken_exactly_once_and_make_the_figures() {
         assert_eq!((table.number("autonomy_percent"), table.number("lifetime_secs")), (10.0, 7_200.0));
     }
 
-    // What was reported is learned, and erased with its state.
+    // Reports are learned, and erased with their state.
     tidemap(&daemon, ["update", "office"]).table();
     let noon = format!("{DATE}T12:00:00Z");
     let chance = tidemap(&daemon, ["predict", "office", "task/greet/Hall", "--at", &noon, "--model", "mean"]).table();

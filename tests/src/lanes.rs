@@ -50,7 +50,7 @@ pub fn now_secs() -> f64 {
     clock::now_nanos() as f64 / 1e9
 }
 
-/// What all producers share.
+/// The data that all producers share.
 #[derive(Debug)]
 pub struct Lanes {
     /// Name of the map.
@@ -122,9 +122,9 @@ impl Lanes {
 enum Leave {
     /// Everything is acknowledged, and producers are paused.
     Paused,
-    /// The daemon did not do what it was asked.
+    /// The daemon did not do the request.
     Failed(ProducerError),
-    /// It did not answer in time.
+    /// The daemon did not answer in time.
     Silent,
     /// The cluster lacks what it has acknowledged, and may still find it.
     Forgotten,
@@ -257,7 +257,7 @@ impl Lane {
     /// Sends some observations, and waits until they are durable.
     async fn batch(&mut self, producer: &mut Producer) -> Result<(), ProducerError> {
         let next = producer.last_sequence() + 1;
-        // What was sent once is sent again first, even when producers are paused.
+        // Observations that were sent once are sent again first, even when producers are paused.
         let again = self.mark().sent.saturating_sub(next - 1);
         let count = match self.lanes.is_paused.load(Ordering::Relaxed) {
             true => again.min(1000),

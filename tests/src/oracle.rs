@@ -122,7 +122,7 @@ pub struct Oracle {
     pub map: String,
     /// The feed of the map.
     pub feed: Feed,
-    /// By producer.
+    /// The marks by producer.
     pub marks: Vec<Mark>,
 }
 
@@ -277,7 +277,7 @@ pub async fn settled(client: &Client) {
     }
 }
 
-/// As [`settled`], for tests without a runtime.
+/// Does the same as [`settled`], for tests without a runtime.
 ///
 /// # Panics
 /// If the daemon does not answer.

@@ -1,6 +1,6 @@
 //! The HTTP port as scripts and browsers use it.
 //!
-//! Invariant: one connection a request, and nothing is sent that the test did not say, but for `Host`.
+//! Invariant: one connection a request, and nothing is sent that the test did not give, but for `Host`.
 
 use std::{
     collections::BTreeMap,

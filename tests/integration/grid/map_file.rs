@@ -1,7 +1,7 @@
 //! A map written as PGM and YAML, read by an independent reader, cell by cell: `pyrobosim` of the Python package
 //! index, installed beside the build by the first run, which takes about a minute.
 //!
-//! Invariant: without Python or the network the test is skipped and says so; only the reader's own answers are
+//! Invariant: without Python or the network the test is skipped and prints so; only the reader's own answers are
 //! compared.
 
 use std::{

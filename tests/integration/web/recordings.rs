@@ -225,7 +225,7 @@ fn a_file_beyond_the_limit_is_refused_and_0_takes_none() {
     refused(&look(&daemon, &asked, &[]), 413, "LIMIT", &["max_upload_bytes"]);
     let huge = look(&daemon, &format!("{path}?bytes={}", u64::MAX), &[]);
     refused(&huge, 413, "LIMIT", &["max_upload_bytes"]);
-    // Without a length that is said before, it is counted as it comes.
+    // Without an announced length, the file is counted as it comes.
     let mut socket = chunked(&daemon, path);
     for part in bag.chunks(1000) {
         let _ = write!(socket, "{:x}\r\n", part.len()).and_then(|()| socket.write_all(part));

@@ -1,5 +1,5 @@
-//! A disk that says "durable" before it has written anything: a process that stops within [`LATE_BY`] loses what was
-//! acknowledged.
+//! A disk that reports "durable" before it has written anything: a process that stops within [`LATE_BY`] loses
+//! acknowledged data.
 //!
 //! Invariant: late writes are done in their order, and before anything else is done with the same disk.
 

@@ -52,7 +52,7 @@ fn names(path: &str) -> Names {
     path.split('/').filter(|name| !name.is_empty()).map(str::to_owned).collect()
 }
 
-/// What a Python file imports of the package: modules, and names of modules.
+/// The names that a Python file imports of the package: modules, and names of modules.
 fn python_imports(text: &str) -> Vec<Names> {
     let mut found = Vec::new();
     let mut lines = text.lines().map(str::trim);
