@@ -98,7 +98,7 @@ impl Committer {
         self.poison.get_or_init(|| error).clone()
     }
 
-    /// The error that stops all writing, if the folder is no longer ours. A look takes microseconds beside a sync.
+    /// The error that stops all writing, if the folder is no longer ours. The check takes microseconds beside a sync.
     pub(crate) fn check_lock(&self) -> Option<AppendError> {
         let lock = self.lock.get()?.upgrade()?;
         let (file, reason) = lock.problem()?;
@@ -205,7 +205,7 @@ impl Committer {
         None
     }
 
-    /// Writes a group. Where that fails, its completions have heard of it.
+    /// Writes a group. Where that fails, its completions have received the error.
     fn write(&self, mut group: Group) -> Result<Group, AppendError> {
         group.follower = self.followed.begin(group.log.map, group.events.iter().map(EncodedEvent::frame_length));
         let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {

@@ -27,7 +27,7 @@ pub(crate) enum Unlisted {
 }
 
 impl Unlisted {
-    /// What is wrong with the file.
+    /// Describes what is wrong with the file.
     pub(crate) fn problem(self) -> String {
         match self {
             Unlisted::Absent => "it is missing".to_owned(),
@@ -36,7 +36,7 @@ impl Unlisted {
         }
     }
 
-    /// What is wrong with a list that is lost; an error of the disk tells nothing of the list.
+    /// Describes what is wrong with a list that is lost; an error of the disk gives no information about the list.
     pub(crate) fn lost(self) -> io::Result<String> {
         match self {
             Unlisted::Io(error) => Err(error),

@@ -9,7 +9,7 @@ use super::{Append, Committer, Group};
 use crate::{error::AppendError, log::writer::LogWriter};
 
 impl Committer {
-    /// Writes the appends, all of one log. Where that fails, their completions have heard of it;
+    /// Writes the appends, all of one log. Where that fails, their completions have received the error;
     /// [`AppendError::AfterFailure`] where each of them had failed before.
     pub(crate) fn begin(&self, appends: Vec<Append>) -> Result<Group, AppendError> {
         let mut group: Option<Group> = None;

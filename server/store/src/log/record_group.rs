@@ -24,9 +24,9 @@ impl LogPoint {
 /// Records that were written together, as they stand in a segment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordGroup {
-    /// Where they begin.
+    /// The point at which the records begin.
     pub before: LogPoint,
-    /// Where they end.
+    /// The point at which the records end.
     pub after: LogPoint,
     /// The records as frames.
     pub frames: Vec<u8>,

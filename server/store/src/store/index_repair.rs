@@ -17,7 +17,7 @@ use crate::{
     index::RowsState,
 };
 
-/// Nothing is kept in memory of what is only written to the index.
+/// The memory for data that is only written to the index: none.
 const NO_MEMORY: Memory = Memory { tile_bytes: 0, spectrum_bytes: 0 };
 
 /// The repair that the index needs.
@@ -31,7 +31,7 @@ pub(super) enum IndexState {
 }
 
 impl IndexState {
-    /// What the rows of a map need to agree with its newest good checkpoint.
+    /// Returns what the rows of a map need to agree with its newest good checkpoint.
     pub(super) fn of(rows: Result<RowsState, ReadFailure>, newest: Option<&MapSnapshot>) -> IndexState {
         match rows {
             Ok(RowsState::Nothing) if newest.is_none() => IndexState::Good,
