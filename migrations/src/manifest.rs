@@ -50,7 +50,7 @@ pub enum ManifestError {
     Damaged {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the damage.
         reason: &'static str,
     },
     /// A newer version of tidemap wrote the directory.

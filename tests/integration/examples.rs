@@ -2,7 +2,7 @@
 //!
 //! Every page has a folder and a daemon of its own, and all of them are read in order with one. Its ```` ```sh ````
 //! blocks run in order and must end with status 0; an ```` ```output ```` block directly behind one must be what that
-//! block showed. In it `…` stands for any text, and a line with `…` alone for any number of lines; the number of spaces
+//! block showed. In it `…` matches any text, and a line with `…` alone any number of lines; the number of spaces
 //! between words does not matter. Commands that a test cannot run, such as installation, are ```` ```console ````.
 //!
 //! Invariant: a block sees what a reader sees: tables, as on a terminal, unless its output goes to a file or a pipe. A

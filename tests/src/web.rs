@@ -78,7 +78,7 @@ pub fn request(address: &str, method: &str, path: &str, headers: &[(&str, &str)]
 /// Calls an RPC as JSON: `SERVICE/METHOD`.
 ///
 /// # Panics
-/// As [`request`].
+/// If there is no answer of HTTP, as for [`request`].
 #[must_use]
 pub fn call(address: &str, method: &str, headers: &[(&str, &str)], body: &Value) -> Answer {
     let mut all = vec![("content-type", "application/json")];

@@ -144,7 +144,7 @@ pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
 /// Does what [`check`] does, and tries to restore each map that is whole.
 ///
 /// # Errors
-/// As [`check`].
+/// The errors of [`check`].
 pub fn check_with(directory: &Path, mode: Mode, restore: &TryRestore<'_>) -> Result<Checked, OpenError> {
     let Some(manifest) = manifest::read(directory, FORMAT)? else {
         let reason = "there is none: this is no data directory of tidemapd".to_owned();

@@ -55,7 +55,7 @@ pub(crate) struct Committer {
     has_work: Condvar,
     has_room: Condvar,
     times: SyncTimes,
-    /// Hears of a full disk, and of its end.
+    /// Receives that the disk is full, and that it no longer is.
     pub(crate) watch: Watch,
     /// Who follows the group commits.
     pub(crate) followed: Followed,

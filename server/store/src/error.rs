@@ -228,7 +228,7 @@ pub enum EraseError {
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum Repair {
     /// The end of a log had not been written whole when the process or the machine stopped.
-    /// Of its last bytes, `zero_bytes` are zero: what was there is not known.
+    /// The last `zero_bytes` bytes of it are zero: their earlier contents are not known.
     TornTail { file: PathBuf, bytes: u64, zero_bytes: u64 },
     /// A checkpoint cannot be read; it was renamed and an older one is used.
     CheckpointSetAside { file: PathBuf, reason: String },

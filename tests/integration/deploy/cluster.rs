@@ -40,7 +40,7 @@ fn environment_of_container(container: &Value, pod: &str) -> Environment {
                 Some(key) => passwords()[&format!("{}_PASSWORD", key.to_uppercase())].clone(),
                 None => {
                     let text = variable["value"].as_str().expect("a value").to_owned();
-                    // As Kubernetes does it: a variable refers to those before it in the list.
+                    // Variables are replaced as by Kubernetes: a variable refers to those before it in the list.
                     known.iter().fold(text, |text, (name, value)| text.replace(&format!("$({name})"), value))
                 }
             },

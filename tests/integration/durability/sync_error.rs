@@ -83,7 +83,7 @@ async fn durability_every_open_stream_hears_the_reason_before_the_daemon_ends() 
     while let Some(ended) = streams.join_next().await {
         let ended = ended.expect("a stream");
         let reason = ended.goodbye.as_ref().map(|goodbye| goodbye.reason());
-        // Who had nothing under way at that moment hears that the daemon stops.
+        // A client that had nothing under way at that moment receives that the daemon stops.
         assert!(matches!(reason, Some(GoodbyeReason::Storage | GoodbyeReason::Shutdown)), "{ended:?}");
     }
 }

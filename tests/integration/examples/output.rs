@@ -1,4 +1,4 @@
-//! Whether a block of commands showed what its page says.
+//! Whether the output of a block of commands is the one on its page.
 
 /// Matches any text in a line, or any number of lines.
 const ANYTHING: char = '…';

@@ -140,7 +140,7 @@ impl DiskFile for LateFile {
         let appended = lock(&log).appended;
         thread::spawn(move || {
             thread::sleep(LATE_BY);
-            // Nobody hears of an error: the record has been acknowledged.
+            // Nobody receives an error: the record has been acknowledged.
             let _ = lock(&log).write_until(appended);
         });
         Ok(())

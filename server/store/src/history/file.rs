@@ -1,6 +1,6 @@
 //! One open history file: its table of contents and random access to its parts.
 //!
-//! Invariant: a part that is read has passed its checksum and lies where the table says, or the error names the file.
+//! Invariant: a part that is read has passed its checksum and lies where the table states, or the error names the file.
 
 use std::{
     io,

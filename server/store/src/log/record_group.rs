@@ -42,7 +42,7 @@ impl RecordGroup {
     /// The events of the frames, all of which are checked.
     ///
     /// # Errors
-    /// What is wrong with a frame.
+    /// The fault of a frame.
     pub fn events(&self) -> Result<Vec<(u64, Event)>, &'static str> {
         let mut events = Vec::new();
         let mut cursor = Cursor { offset: 0, position: self.before.position + 1, chain: self.before.chain };
