@@ -92,7 +92,7 @@ fn arrived(read: &[u8], max: usize) -> Arrived {
     }
 }
 
-/// How much of the first message is there.
+/// The part of the first message that has arrived.
 enum Arrived {
     Part,
     /// The whole message arrived; it ends at this byte.

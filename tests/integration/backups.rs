@@ -1,4 +1,4 @@
-//! Backups of a daemon that serves: who may ask for one, where it goes, and those that the daemon makes by itself.
+//! Backups of a daemon that serves: who may request one, where it goes, and those that the daemon makes by itself.
 //!
 //! Invariant: nothing outside of the folder of backups is ever written, whoever requests it.
 

@@ -13,8 +13,8 @@ use tidemap_tests::{
     daemon::{Daemon, Launch},
 };
 
-/// Commands that take long, or no daemon; their definition is that of a command that is run. Those of a cluster are run
-/// where there is one, in `cluster.rs`.
+/// Commands that take long, or no daemon; their definition is that of a command that is run. Commands of a cluster are
+/// run where there is one, in `cluster.rs`.
 const NOT_RUN: [&str; 8] = [
     "cluster status",
     "cluster maps",

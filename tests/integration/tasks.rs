@@ -200,7 +200,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     let plan = words(&daemon, &format!("plan show office --date {DATE}")).table();
     let way = plan.numbers("start")[0] - plan.numbers("departure")[0];
     assert!(way > 170.0, "{way} s by the yard");
-    // Its edges are still predicted.
+    // The edges of the topology are still predicted.
     assert_eq!(words(&daemon, &format!("topology predict office --at {noon}")).table().rows.len(), 8);
 
     // A node inside is not reached.

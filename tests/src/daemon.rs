@@ -141,7 +141,7 @@ impl Launch {
 /// Exit status and stderr of a process.
 #[derive(Clone, Debug)]
 pub struct Exit {
-    /// How the process ended.
+    /// The status with which the process ended.
     pub status: ExitStatus,
     /// All of stderr.
     pub stderr: String,
@@ -267,7 +267,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

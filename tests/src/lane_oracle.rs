@@ -174,10 +174,10 @@ pub async fn update(client: &Client, map: &str, until_nanos: i64) -> Result<(), 
     }
 }
 
-/// Sends to a daemon that is alone what it lacks of what was acknowledged.
+/// Sends to a daemon that is alone the acknowledged observations that it lacks.
 ///
 /// # Errors
-/// It does not take it.
+/// The daemon does not take them.
 pub async fn follow_alone(alone: &Client, map: &str, feed: &Feed, marks: &[Mark]) -> Result<(), String> {
     if alone.map(map).await.is_err() {
         let created = alone.create_map(NewMap { name: map.to_owned(), ..NewMap::default() }).await;

@@ -1,7 +1,7 @@
 //! Producers of a cluster that stream for ever, each a part of a feed, and go to the next daemon when theirs fails.
 //!
-//! Invariant: a producer records as acknowledged only what a daemon has acknowledged to it. What a cluster has
-//! forgotten is reported before anything is sent again.
+//! Invariant: a producer records as acknowledged only observations that a daemon has acknowledged to it. Observations
+//! that a cluster has forgotten are reported before anything is sent again.
 
 use std::{
     sync::{
@@ -55,7 +55,7 @@ pub fn now_secs() -> f64 {
 pub struct Lanes {
     /// Name of the map.
     pub map: String,
-    /// Where the observations come from.
+    /// The source of the observations.
     pub feed: Feed,
     marks: Mutex<Vec<Mark>>,
     is_paused: AtomicBool,
@@ -64,7 +64,7 @@ pub struct Lanes {
 }
 
 impl Lanes {
-    /// Producers with these marks, which begin paused. What happens to them goes to `events`.
+    /// Producers with these marks, which begin paused. Their events are sent to `events`.
     #[must_use]
     pub fn new(map: &str, feed: Feed, marks: Vec<Mark>, events: UnboundedSender<Value>) -> Arc<Self> {
         let idle = Mutex::new(vec![false; marks.len()]);

@@ -248,7 +248,7 @@ pub fn cell_description_to_wire(
     }
 }
 
-/// A cell whose change alarm rings.
+/// A cell whose change alarm is on.
 #[must_use]
 pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1::CellAlarm {
     let last = description.persistence.last();

@@ -1,6 +1,6 @@
 //! Copies of maps as daemons send them to each other.
 //!
-//! Invariant: a part whose checksum does not match is refused. What its name may be, the store decides.
+//! Invariant: a part whose checksum does not match is refused. The store decides which names are valid.
 
 use crate::v1;
 

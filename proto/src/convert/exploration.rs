@@ -210,7 +210,7 @@ pub fn slot_from_wire(slot: Option<prost_types::Duration>) -> Result<i64, Invali
     slot.map_or(Ok(SLOT_NANOS), |slot| nanos_from_duration("slot", slot))
 }
 
-/// How much is explored, by default a quarter of the slots.
+/// Reads the budget of slots to explore, by default a quarter of the slots.
 #[must_use]
 pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget {
     match budget {
@@ -238,7 +238,7 @@ pub fn allowance_to_wire(budget: Budget) -> v1::plan_slot_request::Allowance {
     }
 }
 
-/// How much is explored, for the wire.
+/// The budget of slots to explore, for the wire.
 #[must_use]
 pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
     match budget {
@@ -247,7 +247,7 @@ pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
     }
 }
 
-/// How slots are selected, for the wire.
+/// The strategy by which slots are selected, for the wire.
 #[must_use]
 pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     match strategy {
@@ -258,7 +258,7 @@ pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     }
 }
 
-/// How slots are selected.
+/// Reads the strategy by which slots are selected.
 ///
 /// # Errors
 /// The strategy is unknown.
@@ -282,7 +282,7 @@ pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
     }
 }
 
-/// How the worth of an observation is measured. `is_counted`: whether observations of the targets are counted.
+/// Reads the measure of the worth of an observation. `is_counted`: whether observations of the targets are counted.
 ///
 /// # Errors
 /// The measure is unknown, or needs observations that are not counted.

@@ -29,7 +29,7 @@ pub use readings::{learned_readings, readings_from_wire};
 /// The beginning of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamStart {
-    /// Who sends.
+    /// The producer.
     pub key: ProducerKey,
     /// 0: a new incarnation is requested.
     pub incarnation: u64,
@@ -91,7 +91,7 @@ pub fn start_of_run(request: &v1::ReportTaskRequest) -> Result<StreamStart, Inva
     StreamStart::of(("producer", &request.producer), ("label", &request.label))
 }
 
-/// Who sends what is learned of a classification.
+/// Returns the producer of what is learned of a classification.
 ///
 /// # Errors
 /// An invalid name of the producer, or label.

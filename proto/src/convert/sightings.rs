@@ -127,7 +127,7 @@ pub struct SightingReport {
     pub place: String,
     /// Part of the edge, metres from its beginning; absent: the whole.
     pub from_m: Option<f64>,
-    /// Where the part ends, metres.
+    /// End of the part, metres.
     pub to_m: Option<f64>,
     /// Time of the sighting, nanoseconds UTC.
     pub time_nanos: i64,

@@ -172,7 +172,7 @@ pub struct Cell {
     /// Sum of β over the readings as occupied. Present if the groups have theirs.
     #[prost(fixed64, optional, tag = "9")]
     pub occupied_weight_bits: Option<u64>,
-    /// The local day on which its change alarm rang, where it rings.
+    /// The local day on which the change alarm of the cell was raised, if it is on.
     #[prost(sint32, optional, tag = "10")]
     pub alarm_day: Option<i32>,
 }

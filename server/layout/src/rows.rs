@@ -39,7 +39,7 @@ pub struct NewestRow {
     /// Whether the row arrived when it was made.
     #[prost(bool, tag = "3")]
     pub is_live: bool,
-    /// Who sent it.
+    /// The producer that sent it.
     #[prost(uint32, tag = "4")]
     pub producer: u32,
     /// Events of its step.

@@ -55,7 +55,7 @@ pub enum BackupError {
     /// The backup cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The caller wanted no more of it.
+    /// The caller stopped the backup.
     #[error("the backup was stopped; make it again")]
     Stopped,
     /// The manifest cannot be read or written.
@@ -183,8 +183,8 @@ fn remove_old(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), BackupError
 
 impl Store {
     /// Copies all maps to a folder, which is empty or holds an earlier backup of the same data directory. Appends go on
-    /// meanwhile; saves of the map that is being copied wait. What was acknowledged before the call is in the backup.
-    /// Maps that are set aside are not copied; what an earlier backup has of them stays.
+    /// meanwhile; saves of the map that is being copied wait. Observations that were acknowledged before the call are
+    /// in the backup. Maps that are set aside are not copied; the data that an earlier backup has of them stays.
     ///
     /// # Errors
     /// [`BackupError`]; an earlier backup in the folder can still be restored.

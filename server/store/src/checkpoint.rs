@@ -53,7 +53,7 @@ pub(crate) struct UnreadCheckpoint {
 }
 
 impl UnreadCheckpoint {
-    /// Why it cannot be read.
+    /// The reason why the checkpoint cannot be read.
     pub(crate) fn failure(&self) -> &ReadFailure {
         &self.failure
     }

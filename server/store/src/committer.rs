@@ -50,14 +50,14 @@ struct Queue {
 /// The queue of the committer and its measurements.
 #[derive(Default)]
 pub(crate) struct Committer {
-    /// Held for a push or a take, never while the disk works.
+    /// The lock is held for a push or a take, never while the disk works.
     queue: Mutex<Queue>,
     has_work: Condvar,
     has_room: Condvar,
     times: SyncTimes,
     /// Receives that the disk is full, and that it no longer is.
     pub(crate) watch: Watch,
-    /// Who follows the group commits.
+    /// The follower of the group commits, if there is one.
     pub(crate) followed: Followed,
     /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,

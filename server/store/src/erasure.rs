@@ -13,7 +13,8 @@
 //! 5. The index is written to a new folder without the rows of the map, and indexes that were set aside are removed.
 //!    Then `NUMBER.replaced` is removed, with the order. A start repeats this while that folder is there.
 //!
-//! A backup knows by the count in `ERASURES` that its copy of the map is of before, and makes a new copy.
+//! A backup detects by the count in `ERASURES` that its copy of the map is from before the erasure, and makes a new
+//! copy.
 //!
 //! Invariant: at every moment the map is whole in exactly one of the folders that a start uses.
 

@@ -203,7 +203,7 @@ pub enum EraseError {
         producer.as_ref().map_or_else(|| "the map has".to_owned(), has_sent)
     )]
     HasScans {
-        /// Who has sent them; `None`: some producer of the map.
+        /// The producer that has sent them; `None`: some producer of the map.
         producer: Option<ProducerKey>,
     },
     /// The map cannot be read.

@@ -1,7 +1,7 @@
 //! Why a file or the index cannot be read: it is damaged, or the disk or the machine refuses.
 //!
-//! Invariant: an error of the disk or the machine is no damage. What the file holds may be sound then, and it stays
-//! where it is. sled keeps of some errors only their text, in which the number of the system's error stands.
+//! Invariant: an error of the disk or the machine is no damage. The contents of the file may be sound then, and it
+//! stays where it is. sled keeps of some errors only their text, which contains the number of the system's error.
 
 use std::{fmt, io};
 

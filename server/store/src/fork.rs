@@ -197,7 +197,7 @@ impl Store {
         let header = SegmentHeader { map: map.0, first_position: first, chain: cut.chain };
         let mut bytes = header.encode().to_vec();
         bytes.extend_from_slice(&cut.frames);
-        // A log may fork more than once at one position. What was cut off there before stays.
+        // A log may fork more than once at one position. Records that were cut off there before stay.
         let known = disk.list(&folder).map_err(store_io(&folder))?;
         let mut number = 1;
         let name = loop {
@@ -232,7 +232,7 @@ impl Store {
         read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork)).map(|(events, _)| events)
     }
 
-    /// Removes a fork. What the map lacks of it is lost.
+    /// Removes a fork. Records of the fork that the map lacks are lost.
     ///
     /// # Errors
     /// [`StoreError`].

@@ -69,7 +69,7 @@ impl From<sled::Error> for Unopened {
 impl From<Unopened> for ReadFailure {
     fn from(unopened: Unopened) -> Self {
         match unopened {
-            // Whoever has it will end.
+            // The process that has the index open will end.
             Unopened::InUse => ReadFailure::Disk("it is still in use".to_owned()),
             Unopened::Failed(failure) => failure,
         }
@@ -148,7 +148,7 @@ pub(crate) struct Index {
     cache_bytes: u64,
     /// `None` after a failure: the store continues without it, until it is opened again.
     trees: Option<Trees>,
-    /// Why there are none.
+    /// The reason why there are no trees.
     failure: Option<ReadFailure>,
     retry: Option<Retry>,
     /// Maps whose rows are all known.

@@ -44,7 +44,7 @@ impl Unlisted {
         }
     }
 
-    /// Why a change of the list fails.
+    /// The error with which a change of the list fails.
     pub(crate) fn changing(self, file: &Path) -> StoreError {
         match self.lost() {
             Ok(problem) => StoreError::ListLost { file: file.to_owned(), problem },
@@ -52,7 +52,7 @@ impl Unlisted {
         }
     }
 
-    /// Why what needs the list is not opened.
+    /// The error with which data that needs the list is not opened.
     pub(crate) fn opening(self, file: &Path) -> OpenError {
         match self.lost() {
             Ok(problem) => OpenError::ListLost { file: file.to_owned(), problem },

@@ -258,7 +258,7 @@ impl Round<'_> {
         Ok(())
     }
 
-    /// Reads the rows of a map in the index. What sled keeps in memory is not read from the disk.
+    /// Reads the rows of a map in the index. Pages that sled keeps in memory are not read from the disk.
     fn index(&mut self, map: MapId) -> Result<(), Ended> {
         let (_, bytes) = self.store.index().size_of(map.0);
         if !self.pace(bytes) {

@@ -64,9 +64,9 @@ pub(crate) struct OpenStore {
     repairs: Vec<Repair>,
     /// The maps. The lock is held for a look-up, and while a map is created so that no two maps get the same number.
     maps: Mutex<Maps>,
-    /// Held while the index is read or written: by opening, saving and deleting maps, never by appends.
+    /// The lock is held while the index is read or written: by opening, saving and deleting maps, never by appends.
     index: Mutex<Index>,
-    /// Held while a backup is made.
+    /// The lock is held while a backup is made.
     pub(crate) backup: Mutex<()>,
     pub(crate) committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -85,7 +85,7 @@ pub(crate) struct Maps {
 pub(crate) struct MapEntry {
     spec: Arc<MapSpec>,
     pub(crate) log: Option<Arc<Log>>,
-    /// Held while the map is opened, saved, copied or deleted.
+    /// The lock is held while the map is opened, saved, copied or deleted.
     pub(crate) busy: Arc<Mutex<()>>,
 }
 

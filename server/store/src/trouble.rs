@@ -30,8 +30,8 @@ pub enum Trouble {
     },
     /// There is no index for this reason. The daemon tries again; a start takes longer meanwhile.
     NoIndex(String),
-    /// A list of what must exist was lost before the start, and it is not proven that all is there. What it covers is
-    /// refused.
+    /// A list of what must exist was lost before the start, and it is not proven that all is there. Requests for the
+    /// objects that it covers are refused.
     ListLost {
         /// The file, within the data directory.
         file: PathBuf,

@@ -54,7 +54,7 @@ async fn a_member_that_makes_other_bits_is_counted_and_takes_a_copy_of_the_write
     assert_eq!(tidemap(first, ["update", "office"]).table().rows.len(), 1);
     eventually(first, "cluster maps", |_| divergences(members.of(follower)) == 1);
     assert_eq!(divergences(first), 0, "the writer is not compared with itself");
-    // Its old map is set aside.
+    // The follower's old map is set aside.
     let is_replaced = |_: &Outcome| {
         let maps = fs::read_dir(folder.join(follower).join("maps")).expect("a folder of maps");
         maps.flatten().any(|entry| entry.file_name().to_string_lossy().ends_with(".replaced-1"))

@@ -83,7 +83,7 @@ fn wait_until_inside(maps: &Path) -> bool {
     false
 }
 
-/// How long an erasure is inside, from its order to its end.
+/// Duration of the inner part of an erasure, from its order to its end.
 async fn time_inside(launch: &Launch, data: &Path) -> Duration {
     let (daemon, maps) = (launch.start(), data.join("maps"));
     daemon.client().erase("home", ERASED).await.expect("ordered");

@@ -211,7 +211,7 @@ async fn a_part_that_cannot_be_erased_is_refused_in_words() {
         assert_eq!(error.code(), Some(code), "{what:?}: {error}");
         assert!(error.to_string().contains(words), "{error}");
     }
-    // Its history was never kept.
+    // The history of the map was never kept.
     let job = scoped.erase_part("short", lost()).await.expect("ordered");
     let mut watch = scoped.watch_job(job.id).await.expect("known");
     let mut last = job;

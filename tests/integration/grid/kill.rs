@@ -206,7 +206,7 @@ async fn grid_history_that_was_imported_waits_for_the_night_after_a_restart_too(
         let mut camera = super::producer(&daemon, "camera").await;
         send(&mut camera, &film, scans).await;
         camera.flush().await.expect("durable");
-        // It is queued behind other due updates.
+        // The update is queued behind other due updates.
         run_update(&daemon.client(), MAP, Some(midnight)).await;
         let jobs = daemon.client().jobs().await.expect("jobs");
         let others: Vec<_> = jobs.iter().filter(|job| job.cause != JobCause::Request).collect();

@@ -58,7 +58,7 @@ pub(crate) fn python_with(package: &str) -> Result<PathBuf, String> {
         let _ = fs::remove_dir_all(&unfinished);
         return Err(reason);
     }
-    // It gets its name only when it is complete. Another run may have been faster.
+    // The environment gets its name only when it is complete. Another run may have been faster.
     if fs::rename(&unfinished, &ready).is_err() {
         let _ = fs::remove_dir_all(&unfinished);
     }

@@ -90,7 +90,7 @@ async fn a_robot_that_restarts_takes_over_from_a_connection_that_hangs() {
     old.send("door", 2_000, 1.0).await.expect("sent");
     old.flush().await.expect("the old one is not harmed by that");
 
-    // Its last reply counts for a moment.
+    // The last reply of the old stream counts for a moment.
     tokio::time::sleep(Duration::from_millis(200)).await;
     hangs.store(true, Ordering::SeqCst);
     // Observations that are on the way when the connection hangs come too late.

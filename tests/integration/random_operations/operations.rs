@@ -1,6 +1,6 @@
 //! The operations, applied to the daemon and to the naive model.
 //!
-//! Invariant: acknowledged observations are in the model. Of those not acknowledged before a kill, the
+//! Invariant: acknowledged observations are in the model. From the observations not acknowledged before a kill, the
 //! model takes those that the daemon reports after the restart, which must be a whole number of batches.
 
 use std::{collections::BTreeMap, process::Command};

@@ -287,7 +287,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     eventually("the file is gone", || is_empty(data.path()));
     assert_eq!(imported(&send(&daemon, path, &[], &door(4))).1, 0);
 
-    // Who leaves while the import runs stops it; the same file again goes on.
+    // A client that leaves while the import runs stops it; the same file again goes on.
     let large = door(60_000);
     let answer = running(&daemon, "large/recordings/door.bag", &large);
     drop(answer);

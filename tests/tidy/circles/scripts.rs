@@ -6,7 +6,7 @@
 use super::{Crate, Names};
 use crate::{files, read};
 
-/// The Python package: a module for each file. What `__init__.py` imports it exports.
+/// The Python package: a module for each file. `__init__.py` exports all that it imports.
 pub(super) fn python() -> Crate {
     const FOLDER: &str = "client/python/python/tidemap/";
     let module = |path: &str| {

@@ -34,7 +34,7 @@ pub enum DayTargets {
     ExactlyOne(Vec<StateName>),
     /// Views from viewpoints.
     Views {
-        /// At least one.
+        /// The viewpoints, at least one.
         viewpoints: Vec<Viewpoint>,
         /// The sensor of the robot.
         sensor: Sensor,
@@ -79,7 +79,7 @@ pub struct DayTasks {
     pub day: LocalDay,
     /// Name of the node where the robot is at first; `None`: that of the charger.
     pub start_node: Option<String>,
-    /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
+    /// Time from which on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
     pub ready_nanos: Option<i64>,
 }
 

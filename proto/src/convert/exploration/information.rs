@@ -48,7 +48,7 @@ pub struct InformationQuestion {
     pub selector: ModelSelector,
     /// The certainty after an observation.
     pub certainty: Certainty,
-    /// At least one.
+    /// The targets, at least one.
     pub targets: InformationTargets,
 }
 
@@ -86,7 +86,7 @@ pub struct ViewsQuestion {
     pub times_nanos: Vec<i64>,
     /// A model that cells have.
     pub selector: ModelSelector,
-    /// At least one.
+    /// The viewpoints, at least one.
     pub viewpoints: Vec<Viewpoint>,
     /// How views are computed from predictions.
     pub scene: SceneOptions,

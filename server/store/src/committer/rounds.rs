@@ -23,7 +23,7 @@ impl Committer {
         self.write(group.ok_or(AppendError::AfterFailure)?)
     }
 
-    /// Makes a written group durable. After an error, [`Self::end`] must hear of it.
+    /// Makes a written group durable. After an error, the caller must end the group by [`Self::end`] with this error.
     pub(crate) fn sync_written(&self, group: &Group) -> Result<(), AppendError> {
         if let Some(error) = self.poison() {
             return Err(error);

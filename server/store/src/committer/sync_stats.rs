@@ -24,7 +24,7 @@ pub struct SyncStats {
 /// The newest durations.
 #[derive(Default)]
 pub(super) struct SyncTimes(
-    /// Held to add one entry or to copy all, never during disk access.
+    /// The lock is held to add one entry or to copy all, never during disk access.
     Mutex<Ring>,
 );
 

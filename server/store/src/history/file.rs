@@ -69,7 +69,7 @@ impl HistoryFile {
     }
 }
 
-/// Why a file is of no use: what it holds is damaged, or the disk does not give it.
+/// The reason why a file is of no use: its contents are damaged, or the disk does not give it.
 fn unread(path: &Path, failure: ReadFailure) -> HistoryError {
     let file = path.to_owned();
     match failure {

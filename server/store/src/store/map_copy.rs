@@ -4,8 +4,8 @@
 //! file after file, with names like those within the folder of a map. The number of the map is that of the store that
 //! takes it, so that the headers of the files are written anew; everything behind them stays as it is.
 //!
-//! Invariant: a name leads only to a file that the folder of a map may have. What is taken becomes a map only when all
-//! of it is durable and was checked.
+//! Invariant: a name leads only to a file that the folder of a map may have. A copy becomes a map only when all of it
+//! is durable and was checked.
 
 use std::{collections::BTreeSet, io, path::PathBuf};
 

@@ -96,7 +96,7 @@ impl Store {
         File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
         let opened = Index::open(directory.join("index"), options.index_cache_bytes);
-        // Whoever has it uses the folder, whatever became of the lock.
+        // A process that has the index open uses the folder, whatever became of the lock.
         let in_use = |IndexInUse| OpenError::Locked { directory: directory.to_owned(), pid: None };
         let (index, set_aside) = opened.map_err(in_use)?;
         let mut repairs = Vec::new();

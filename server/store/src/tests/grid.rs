@@ -50,7 +50,7 @@ fn grid_of(snapshot: &MapSnapshot) -> &GridSnapshot {
     snapshot.grid.as_ref().expect("has a grid")
 }
 
-/// How many tiles are in memory, and how many different sums their groups have.
+/// Number of tiles in memory, and number of different sums that their groups have.
 fn resident(grid: &GridSnapshot) -> (usize, usize) {
     let sums: Vec<&Arc<TileSums>> = grid
         .sums

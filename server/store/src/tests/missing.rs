@@ -100,7 +100,7 @@ fn maps_that_are_missing_or_damaged_are_set_aside_and_the_others_serve() {
         store.open_map(maps[2], &plain_spec("three")).expect("opens");
         assert_eq!(fs::read(&damaged).expect("there"), b"damaged");
     }
-    // Whoever does without the maps deletes them.
+    // An operator who goes on without the maps deletes them.
     let store = Store::open(directory.path(), options()).expect("opens");
     store.delete_map(maps[0]).expect("deletes");
     store.delete_map(maps[1]).expect("deletes");
