@@ -227,8 +227,8 @@ pub enum EraseError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum Repair {
-    /// The end of a log had not been written whole when the process or the machine stopped.
-    /// The last `zero_bytes` bytes of it are zero: their earlier contents are not known.
+    /// The end of a log had not been written whole when the process or the machine stopped. The last `zero_bytes` bytes
+    /// of it are zero: their earlier contents are not known.
     TornTail { file: PathBuf, bytes: u64, zero_bytes: u64 },
     /// A checkpoint cannot be read; it was renamed and an older one is used.
     CheckpointSetAside { file: PathBuf, reason: String },
