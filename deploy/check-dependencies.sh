@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Checks the dependencies against deny.toml: licences, bans and sources, which needs no network, and advisories, whose
-# database is fetched. Where it cannot be fetched, a copy fetched before is used; without one, that is said, and the rest
-# is checked. Fails only for what it finds.
+# database is fetched. Where it cannot be fetched, a copy fetched before is used; without one, the script prints so, and
+# checks the rest. Fails only for its findings.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

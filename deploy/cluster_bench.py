@@ -23,13 +23,13 @@ import time
 
 import cluster_kit as kit
 
-# Of the load of 5,000 observations a second.
+# The load of 5,000 observations a second.
 LATENCY = ("bench", "latency", "--streams", "100", "--rate", "5000", "--secs", "20")
 OBSERVATIONS = int(os.environ.get("CLUSTER_BENCH_OBSERVATIONS", 10_000_000))
-# What a member has missed when it joins.
+# The number of observations that a member has missed when it joins.
 JOIN_OBSERVATIONS = int(os.environ.get("CLUSTER_BENCH_JOIN", 20_000_000))
 TRIALS = int(os.environ.get("CLUSTER_BENCH_TRIALS", 20))
-# A stream that goes on while the map changes its writer.
+# The load of a stream that goes on while the map changes its writer.
 STEADY = ("bench", "latency", "--streams", "4", "--rate", "400")
 
 ALONE = """\
@@ -46,7 +46,7 @@ def row(what, value, unit):
 
 
 def quantiles(what, values, unit):
-    """Rows for the middle and the ends of some values."""
+    """Returns rows for the middle and the ends of some values."""
     ordered = sorted(values)
     row(f"{what}: trials", len(ordered), "")
     row(f"{what}: p50", round(ordered[len(ordered) // 2], 3), unit)
@@ -55,7 +55,7 @@ def quantiles(what, values, unit):
 
 
 def megabytes(folder, name=None):
-    """Size of a folder, or of what is in its folders of a name."""
+    """Size of a folder, or of the contents of its folders of a name."""
     files = (file for file in folder.rglob("*") if file.is_file() and (name is None or name in file.parts))
     return round(sum(file.stat().st_size for file in files) / 1e6)
 
@@ -94,7 +94,7 @@ class Alone:
 
 
 class Bench:
-    """A cluster, and what is measured of it."""
+    """A cluster, and its measurements."""
 
     def __init__(self, programs, folder):
         self.programs, self.folder, self.count = programs, folder, 0
@@ -162,14 +162,14 @@ class Bench:
         row("throughput, cluster to a daemon alone", round(share, 2), "")
 
     def lag(self):
-        """How long after an acknowledgement another daemon shows the observation."""
+        """Time from an acknowledgement until another daemon shows the observation."""
         with self.cluster() as cluster:
             first, second = cluster.hosts[:2]
             words = ("bench", "lag", "--reader", second.address)
             quiet = self.measure(cluster, first, *words)
             load = threading.Thread(target=cluster.tidemap, args=(first, *LATENCY))
             load.start()
-            # Until its streams are open.
+            # Waits until the streams of the load are open.
             time.sleep(3)
             loaded = self.measure(cluster, first, *words, "--secs", "15")
             load.join()
@@ -194,7 +194,7 @@ class Bench:
             return rows if roles == ["following", "following", "writing"] else None
 
         rows = kit.wait_until("three replicas", held)
-        # Until the members have reported it.
+        # Waits until the members have reported it.
         time.sleep(2)
         during(rows[0]["map"], next(line["member"] for line in rows if line["role"] == "writing"))
         stream.join()

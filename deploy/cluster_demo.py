@@ -24,7 +24,7 @@ import cluster_kit as kit
 
 MAP = "office"
 DAYS = 14
-# How long the robots take for all their days.
+# Duration of all days of the robots.
 SENDING_SECS = 20
 ROBOTS = ("robot-ada", "robot-bob", "robot-cleo")
 BEGUN = time.monotonic()
@@ -36,7 +36,7 @@ def say(text):
 
 class Robot(threading.Thread):
     """Sends the rows of a file in pieces, as time goes by. When its daemon is gone, it goes to the next one and begins
-    its file again there: the daemon says which rows the map has, and only the others are sent."""
+    its file again there: the daemon reports which rows the map has, and only the others are sent."""
 
     def __init__(self, cluster, name, rows, hosts):
         super().__init__(daemon=True)
@@ -54,13 +54,13 @@ class Robot(threading.Thread):
             self.error = error
 
     def send(self, host):
-        """Sends to one daemon; whether everything is acknowledged."""
+        """Sends to one daemon; returns whether everything is acknowledged."""
         words = ["observe", MAP, "-", "--producer", self.name, "--label", "demo", "--patience"]
-        # It gives the first daemon up at once, and waits at the next one until there is a new writer.
+        # The robot gives the first daemon up at once, and waits at the next one until there is a new writer.
         words.append("1s" if host is self.hosts[0] else "60s")
         process = subprocess.Popen(self.cluster.command(host, *words), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                    stderr=subprocess.PIPE, text=True, env=kit.environment())
-        # It ends by itself when its daemon is gone, and stops reading.
+        # The process ends by itself when its daemon is gone, and stops reading.
         feeder = threading.Thread(target=self.feed, args=(process,), daemon=True)
         feeder.start()
         output = process.stdout.read()
@@ -72,7 +72,7 @@ class Robot(threading.Thread):
             row = counted[0]
             new, known = int(row["accepted"]) + int(row["refused"]), int(row["duplicate"])
             if known > self.acknowledged:
-                # They were in the log, and their acknowledgement was under way when the daemon was killed.
+                # These rows were in the log, and their acknowledgement was under way when the daemon was killed.
                 self.doubtful += known - self.acknowledged
             self.forgotten += max(0, self.acknowledged - known)
             self.acknowledged = max(self.acknowledged, new + known)
@@ -111,7 +111,7 @@ def kill_the_writer(cluster, first, robots):
     killed = time.monotonic()
     cluster.kill(first, "daemon")
     other = next(host for host in cluster.hosts if host is not first)
-    # What was under way is there at once; a new writer is needed for more.
+    # Observations that were under way are there at once; a new writer is needed for more.
     time.sleep(0.5)
     before = known(cluster, other)
     kit.wait_until("a new writer", lambda: known(cluster, other) > before, pause=0.05)
@@ -122,7 +122,8 @@ def kill_the_writer(cluster, first, robots):
 
 
 def compare(cluster, host, robots):
-    """What a daemon has against what the robots sent; gives the numbers of lost, doubled and foreign observations."""
+    """Compares the observations of a daemon with those that the robots sent; gives the numbers of lost, doubled and
+    foreign ones."""
     sent = collections.defaultdict(collections.Counter)
     for robot in robots:
         for row in robot.rows[:robot.acknowledged]:
@@ -186,10 +187,10 @@ def show(cluster, folder):
 
 
 def check(cluster, third, robots):
-    """Compares the map at a daemon with what the robots know; the exit status."""
+    """Compares the map at a daemon with the data of the robots; returns the exit status."""
     total = sum(len(robot.rows) for robot in robots)
     lost, doubled, foreign = compare(cluster, third, robots)
-    # Robots send again what the map no longer has when they come back: that is lost too.
+    # When robots come back they send again the observations that the map no longer has: those are lost too.
     lost += sum(robot.forgotten for robot in robots)
     say(f"{third.name} shows the map: of {total:,} observations {lost} were lost, {doubled} are there twice, {foreign} "
         "were never sent")

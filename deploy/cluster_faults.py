@@ -37,9 +37,10 @@ from cluster_net import HUB, Disk, Network, prefix, space, why_no_namespaces
 FOLDER = pathlib.Path(os.environ.get("TIDEMAP_FAULTS_FOLDER", kit.ROOT / "target" / "cluster-faults"))
 MAP = "office"
 CHECK_EVERY = 5
-# All producers are acknowledged again by then: elections, the wait for a daemon with a longer log, and a slow machine.
+# Time within which all producers are acknowledged again: elections, the wait for a daemon with a longer log, and a slow
+# machine.
 RECOVERS_WITHIN = 300
-# After this it is written down how the engines see their streams.
+# After this time the state of the streams in the engines is written down.
 STALLS_AFTER = 30
 # Engines that were set back catch up with the next snapshot of their leader, which comes every two minutes.
 RESET_AFTER = 200
@@ -49,7 +50,7 @@ COLUMNS = ("fault", "seed", "life", "kind", "host", "was_writer", "harm_secs", "
 
 
 class Lanes:
-    """The producers, as a process; their events, and answers to commands."""
+    """The producers, as a process; their events, and replies to commands."""
 
     def __init__(self, cluster, programs, folder, producers, seed):
         words = [*cluster.hub, programs / "tidemap-lanes", MAP, folder / "record.json", str(producers), str(seed)]
@@ -82,7 +83,7 @@ class Lanes:
         self.answers.put(["the producers have ended; see lanes.log"])
 
     def ask(self, *words, within=300):
-        """Gives a command and waits for its answer: what is wrong."""
+        """Gives a command and waits for its reply: the faults found."""
         self.process.stdin.write(" ".join(map(str, words)) + "\n")
         self.process.stdin.flush()
         try:
@@ -151,11 +152,11 @@ class Life:
         self.wait_well()
         self.lanes = Lanes(self.cluster, self.programs, self.folder, self.producers, seed)
         self.stream()
-        # What the record of a run that was killed does not know.
+        # Discards the complaints about data that is not in the record of a run that was killed.
         self.lanes.complaints()
 
     def recover(self, what, look, pause=0.2):
-        """Waits until something is true, and writes down how the engines are if that takes long."""
+        """Waits until something is true, and writes down the state of the engines if that takes long."""
         try:
             return kit.wait_until(what, look, within=STALLS_AFTER, pause=pause)
         except kit.Failed:
@@ -168,8 +169,8 @@ class Life:
             return kit.wait_until(what, look, within=RECOVERS_WITHIN - RESET_AFTER, pause=pause)
 
     def reset_stuck_engines(self):
-        """What an operator does with engines that were set back and cannot catch up: they start with empty folders, one
-        after the other."""
+        """Does the work of an operator with engines that were set back and cannot catch up: they start with empty folders,
+        one after the other."""
         for host in self.cluster.hosts:
             with open(host.folder / "engine.log", "rb") as log:
                 log.seek(max(0, log.seek(0, os.SEEK_END) - 2000))
@@ -190,7 +191,7 @@ class Life:
                 subprocess.run([*host.prefix, "curl", "-s", "-m", "5", ask], stdout=out, stderr=subprocess.DEVNULL)
 
     def answered(self, *words):
-        """Gives a command of the producers; daemons that do not answer yet are asked again."""
+        """Gives a command of the producers; repeats it for daemons that do not reply yet."""
         wrong = []
 
         def look():
@@ -204,7 +205,7 @@ class Life:
         return wrong
 
     def wait_well(self):
-        """Waits until nothing is wrong but records that were set aside, which a check deals with."""
+        """Waits until nothing is wrong but records that were set aside, which a check handles."""
         first = self.cluster.hosts[0]
 
         def look():
@@ -223,13 +224,13 @@ class Life:
         kit.wait_until("all producers are acknowledged", lambda: self.lanes.are_back(begun), within=RECOVERS_WITHIN)
 
     def heal_forks(self):
-        """Removes forks whose observations the map has; gives their number, and what is wrong."""
+        """Removes forks whose observations the map has; gives their number, and the faults found."""
         code, rows, said = self.cluster.tidemap(self.cluster.hosts[0], "cluster", "heal", MAP)
         forks = len({row["fork"] for row in rows})
         return forks, [f"a fork holds what the map lacks: {said}"] if code else []
 
     def check(self):
-        """Everything that must hold when nothing is harmed; gives the number of forks, and what is wrong."""
+        """Checks everything that must hold when nothing is harmed; gives the number of forks, and the faults found."""
         self.lanes.ask("pause", within=RECOVERS_WITHIN)
         wrong = self.lanes.complaints()
         self.wait_well()
@@ -256,7 +257,7 @@ class Life:
         return forks, wrong
 
     def verify(self):
-        """Compares logs and digests; a member that is behind is asked again."""
+        """Compares logs and digests; repeats it for a member that is behind."""
         first = self.cluster.hosts[0]
 
         def look():
@@ -357,7 +358,7 @@ class Run:
         return row, wrong + life.lanes.complaints()
 
     def step(self, is_last):
-        """One fault, and a check if it is time; whether all is well."""
+        """Does one fault, and a check if it is time; returns whether all is well."""
         self.open_life()
         resets = self.life.resets
         row, wrong = self.fault()
@@ -384,7 +385,7 @@ class Run:
         return not wrong
 
     def keep(self, row, wrong):
-        """Keeps the files of what went wrong, and begins anew with another cluster."""
+        """Keeps the files of a fault that was found, and begins anew with another cluster."""
         kept = FOLDER / "found" / f"seed-{row['seed']}-fault-{row['fault']}"
         kept.mkdir(parents=True, exist_ok=True)
         (kept / "wrong.txt").write_text(json.dumps(row) + "\n" + "\n".join(wrong) + "\n")

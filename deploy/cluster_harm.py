@@ -1,6 +1,6 @@
 """The kinds of faults that a host of a cluster can have. Each is done and healed.
 
-Invariant: what a fault draws follows from the seed and the number of the fault; when it hits does not.
+Invariant: the draws of a fault follow from the seed and the number of the fault; the moment at which it hits does not.
 """
 
 import shutil
@@ -9,7 +9,7 @@ import time
 
 import cluster_kit as kit
 
-# Kinds and how often they are drawn.
+# The kinds, with the frequency with which they are drawn.
 KINDS = {
     "kill_daemon": 4,
     "kill_engine": 3,
@@ -26,7 +26,7 @@ KINDS = {
     "forget_all": 2,
     "disk_full": 3,
     "rolling": 1,
-    # Not drawn: a loss that must be found, to test the run itself.
+    # This kind is not drawn: it is a loss that must be found, to test the run itself.
     "planted_loss": 0,
 }
 
@@ -161,7 +161,7 @@ class Harm:
         self.restart_forgetting(hit, parts)
 
     def forget_all(self):
-        """As `forget_first`, and the daemons die too."""
+        """Does the same as `forget_first`, and the daemons die too."""
         self.forget_first(("engine", "daemon"))
 
     def restart_forgetting(self, hit, whats):

@@ -21,9 +21,9 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 NATS = pathlib.Path(os.environ.get("TIDEMAP_NATS_SERVER", ROOT / "target" / "nats" / "nats-server"))
 NAMES = ("north", "east", "west")
-# Whatever is waited for has happened by then, or hangs.
+# A deadline for every wait: the awaited event has happened by then, or it hangs.
 WITHIN_SECS = 120
-# Where an engine with a network of its own tells how it is.
+# The port at which an engine with a network of its own reports its state.
 MONITOR = "127.0.0.1:8222"
 
 ENGINE = """\
@@ -59,7 +59,7 @@ servers = [{servers}]
 
 
 class Failed(Exception):
-    """What a run cannot go on from, in words for its user."""
+    """An error from which a run cannot go on, in words for its user."""
 
 
 def free_ports(count):
@@ -80,7 +80,7 @@ def free_ports(count):
 
 @dataclasses.dataclass
 class Host:
-    """One machine of the cluster. `prefix` is what runs a command on it."""
+    """One machine of the cluster. `prefix` is the command line that runs a command on it."""
 
     name: str
     ip: str
@@ -132,7 +132,7 @@ class Cluster:
         is_remote = "false" if host.ip == "127.0.0.1" else "true"
         monitor = f"http: {MONITOR}\n" if host.prefix else ""
         routes = ", ".join(f'"nats://{other.ip}:{other.route_port}"' for other in self.hosts)
-        # A daemon asks the engine beside it first.
+        # A daemon connects to the engine beside it first.
         order = [host] + [other for other in self.hosts if other is not host]
         servers = ", ".join(f'"nats://tidemap:tidemap@{other.ip}:{other.engine_port}"' for other in order)
         values = dict(vars(host), routes=routes, servers=servers, store=host.store, data=host.data, monitor=monitor,
@@ -189,14 +189,14 @@ class Cluster:
         return done.returncode, list(csv.DictReader(io.StringIO(done.stdout))), done.stderr.strip()
 
     def must(self, host, *words):
-        """As `tidemap`, for what must succeed; gives the rows."""
+        """Does the same as `tidemap`, for a command that must succeed; gives the rows."""
         code, rows, words_said = self.tidemap(host, *words)
         if code:
             raise Failed(f"tidemap {' '.join(map(str, words))} at {host.name} ended with {code}: {words_said}")
         return rows
 
     def writer(self, map_name, timeout=10):
-        """The host whose daemon writes a map, as the first daemon that answers says; None if there is none."""
+        """The host whose daemon writes a map, by the first daemon that replies; None if there is none."""
         for host in self.hosts:
             if not is_running(host.daemon):
                 continue
@@ -208,7 +208,7 @@ class Cluster:
 
 
 def environment():
-    """Without the settings of the user."""
+    """The environment without the settings of the user."""
     return {name: value for name, value in os.environ.items() if not name.startswith("TIDEMAP_")}
 
 
@@ -217,7 +217,7 @@ def is_running(process):
 
 
 def wait_until(what, look, within=WITHIN_SECS, pause=0.2):
-    """Repeats `look` until it gives something true, which is returned."""
+    """Repeats `look` until it gives a true value, which is returned."""
     end = time.monotonic() + within
     while True:
         found = look()
@@ -229,7 +229,7 @@ def wait_until(what, look, within=WITHIN_SECS, pause=0.2):
 
 
 def stop_on_signals():
-    """Ctrl-C and a request to end become exceptions, so that what was started is ended."""
+    """Turns Ctrl-C and a request to end into exceptions, so that started processes are ended."""
     def interrupt(number, _):
         signal.signal(number, signal.SIG_IGN)
         sys.exit(128 + number)

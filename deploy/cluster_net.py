@@ -28,7 +28,7 @@ def space(name):
 
 
 def prefix(namespace):
-    """What runs a command in a namespace."""
+    """The command line that runs a command in a namespace."""
     return ("ip", "netns", "exec", namespace)
 
 
@@ -71,7 +71,7 @@ class Network:
 
 
 def why_no_namespaces():
-    """Why this machine cannot have the network; None if it can."""
+    """The reason why this machine cannot have the network; None if it can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The Debian package, from programs that are built already: target/deb/tidemap_VERSION_ARCHITECTURE.deb.
-# What it holds is listed in client/cli/Cargo.toml. cargo-deb makes it, and deploy/setup.sh brings cargo-deb.
+# Its contents are listed in client/cli/Cargo.toml. cargo-deb makes it, and deploy/setup.sh brings cargo-deb.
 #
 #   deploy/deb.sh PROGRAMS   the folder of tidemap and tidemapd, release builds
 set -euo pipefail
@@ -16,7 +16,7 @@ sed 's|/usr/local/bin/|/usr/bin/|' deploy/tidemapd.service >"$parts/tidemapd.ser
 
 gzip -9nc CHANGELOG.md >"$parts/changelog.gz"
 version=$("$programs/tidemapd" --version | awk '{ print $2 }')
-# The same commit gives the same package.
+# One commit always gives the same package.
 SOURCE_DATE_EPOCH=$(git log -1 --format=%ct 2>/dev/null || echo 0)
 export SOURCE_DATE_EPOCH
 maintainer=$(sed -n 's/^maintainer = "\(.*\)"/\1/p' client/cli/Cargo.toml)

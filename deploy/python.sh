@@ -10,7 +10,7 @@ cd "$(dirname "$0")/.."
 pythons=("$@")
 [ ${#pythons[@]} -gt 0 ] || pythons=(python3)
 
-# The tests take what users have.
+# The tests use packages that users have.
 tested=(numpy pandas polars xarray scikit-learn matplotlib pytest mypy)
 
 for python in "${pythons[@]}"; do
@@ -19,7 +19,7 @@ for python in "${pythons[@]}"; do
     rm -rf "$environment"
     "$python" -m venv "$environment"
     "$environment/bin/pip" install --quiet --disable-pip-version-check "${tested[@]}" target/wheels/tidemap-*.whl
-    # From elsewhere, so that what is tested is the wheel and not the sources.
+    # The tests run from elsewhere, so that they test the wheel and not the sources.
     (cd target/python && env -u TIDEMAPD "$version/bin/python" -m pytest -q -p no:cacheprovider \
         "$OLDPWD/client/python/tests")
     "$environment/bin/mypy" --strict --config-file client/python/pyproject.toml -p tidemap

@@ -9,8 +9,8 @@
 #
 # ROS comes from the Python package index, with the versions and hashes of deploy/ros_*.txt, for Python 3.11. As root
 # the node runs in a network namespace of its own; else with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and a domain
-# of its own. What cannot be had is skipped, and a line says so. The node for ROS 1 is tested where Debian's ROS is
-# installed.
+# of its own. Parts that cannot be had are skipped, and a line reports it. The node for ROS 1 is tested where Debian's
+# ROS is installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -68,7 +68,7 @@ else
 fi
 "${apart[@]}" "$run/python" -m pytest -q -p no:cacheprovider -s "$package/test/real" "$@"
 
-# ROS 1 as Debian has it, for Debian's Python.
+# The packages of ROS 1 as Debian has them, for Debian's Python.
 needed='rospy, rosmaster, tf2_msgs, nav_msgs, sensor_msgs, diagnostic_msgs, actionlib, genpy, numpy, venv, ensurepip'
 if ! /usr/bin/python3 -c "import $needed" 2>/dev/null; then
     say "SKIPPED: the node for ROS 1 needs Debian's python3-rospy, python3-rosmaster, python3-tf2-msgs," \

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Writes a list of all dependencies of each program as CycloneDX 1.5, from Cargo.lock by `cargo metadata`.
 
-It lists what is built into a program or runs while it is built, on the platforms of deny.toml, and not what only tests use. It
-knows what the manifests of the packages say; it does not look into their sources for copied code or other licences.
+It lists the packages that are built into a program or run while it is built, on the platforms of deny.toml, and not those
+that only tests use. It uses the data in the manifests of the packages; it does not search their sources for copied code or
+other licences.
 
 Usage: sbom.py FOLDER
 """

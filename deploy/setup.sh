@@ -9,9 +9,9 @@
 #                                 adds CMake and gRPC for C++; `docs` adds mdbook, `deb`
 #                                 cargo-deb and `fuzz` cargo-fuzz, in target/tools; `lint` adds cargo-deny there, as a
 #                                 program that others have built
-#   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
+#   TIDEMAP_SETUP_DRY_RUN=1       prints what it would do, and does nothing
 #
-# Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
+# Prints nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -65,7 +65,7 @@ if ! have cc || ! { [ -e /usr/include/stdlib.h ] || echo '#include <stdlib.h>' |
 fi
 
 # --- the Rust toolchain ---------------------------------------------------------------------------------------------
-# What was installed for this user, and is about to be, may not be on the PATH of this shell.
+# Programs that were installed for this user, or are about to be, may not be on the PATH of this shell.
 cargo_bin=${CARGO_HOME:-$HOME/.cargo}/bin
 PATH="$PATH:$cargo_bin"
 
@@ -90,7 +90,7 @@ other_toolchain() {
 }
 
 install_rustup() {
-    # Debian's rustup cannot stand beside Debian's cargo, which may be wanted for something else.
+    # Debian's rustup cannot be installed beside Debian's cargo, which may be wanted for something else.
     if ! have cargo && have apt-cache && [ -n "$(apt_candidate rustup)" ] && install rustup ca-certificates; then
         return 0
     fi
@@ -119,7 +119,7 @@ if ! new_enough cargo && ! other_toolchain; then
     toolchain=$wanted
 fi
 
-# --- what the tests use, where it can be had ------------------------------------------------------------------------
+# --- the tools of the tests, where they can be had ------------------------------------------------------------------
 nextest=no
 if [ "$goal" = test ]; then
     for tool in strace:strace mkfs.ext4:e2fsprogs losetup:util-linux umount:mount; do
@@ -143,7 +143,7 @@ if [ "$goal" = test ]; then
     fi
 fi
 
-# --- what makes the guide -------------------------------------------------------------------------------------------
+# --- the tools of the guide -----------------------------------------------------------------------------------------
 if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" != "mdbook v$MDBOOK_VERSION" ]; then
     if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
     say "installing mdbook $MDBOOK_VERSION into target/tools, once; this takes some minutes"
@@ -151,21 +151,21 @@ if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" !=
         --no-default-features --features search || fail "mdbook could not be installed; is there a network?"
 fi
 
-# --- what builds and tests the Python package -----------------------------------------------------------------------
+# --- the tools of the Python package --------------------------------------------------------------------------------
 if [ "$goal" = python ]; then
     python3 -c 'import ensurepip, venv' 2>/dev/null || install python3 python3-venv ||
         fail "Python is missing: install python3 and python3-venv (needs root or sudo, and apt-get)"
     have strip || install binutils || fail "binutils is missing: install it (needs root or sudo)"
 fi
 
-# --- what builds the example in C++ ---------------------------------------------------------------------------------
+# --- the tools of the example in C++ --------------------------------------------------------------------------------
 if [ "$goal" = cpp ] && ! { have cmake && have protoc && have grpc_cpp_plugin && have pkg-config && have c++ &&
     pkg-config --exists grpc++; }; then
     install cmake g++ make pkg-config libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc ||
         say "gRPC for C++ could not be had; the example in C++ is skipped"
 fi
 
-# --- what makes the Debian package ----------------------------------------------------------------------------------
+# --- the tools of the Debian package --------------------------------------------------------------------------------
 if [ "$goal" = deb ] && ! have cargo-deb; then
     for tool in dpkg-shlibdeps:dpkg-dev strip:binutils; do
         have "${tool%%:*}" || install "${tool##*:}" || fail "${tool##*:} is missing: install it (needs root or sudo)"
@@ -178,7 +178,7 @@ if [ "$goal" = deb ] && ! have cargo-deb; then
     fi
 fi
 
-# --- what fuzzes ----------------------------------------------------------------------------------------------------
+# --- the fuzzer -----------------------------------------------------------------------------------------------------
 if [ "$goal" = fuzz ]; then
     have c++ || install g++ || fail "a C++ compiler is missing: install g++ (needs root or sudo)"
     if [ "$(target/tools/bin/cargo-fuzz --version 2>/dev/null)" != "cargo-fuzz $FUZZ_VERSION" ]; then
@@ -189,7 +189,7 @@ if [ "$goal" = fuzz ]; then
     fi
 fi
 
-# --- what checks the dependencies -----------------------------------------------------------------------------------
+# --- the check of the dependencies ----------------------------------------------------------------------------------
 # fetch_deny: cargo-deny into target/tools, checked by its hash.
 fetch_deny() {
     [ "$(uname -sm)" = "Linux x86_64" ] || return 1
@@ -211,7 +211,7 @@ if [ "$goal" = lint ] && ! have cargo-deny && [ ! -x target/tools/bin/cargo-deny
     fetch_deny || say "cargo-deny could not be had; deny.toml is not checked"
 fi
 
-# --- what builds and tests the page ---------------------------------------------------------------------------------
+# --- the tools of the page ------------------------------------------------------------------------------------------
 # Node as a wheel of the Python package index, where the system's is missing or too old for the page's tools.
 node_is_new() {
     local found

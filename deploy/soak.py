@@ -9,7 +9,7 @@ Usage: soak.py HOURS [ROW...]        the rows by their names; all if none is giv
        soak.py --table               prints the counts so far
 
 TIDEMAP_SOAK_FOLDER (default target/soak) holds counts.json and the outputs of failures; TIDEMAP_SOAK_PROFILE (default
-release) is the profile of the build. Rows that this machine cannot run say so, and the others share their time.
+release) is the profile of the build. Rows that this machine cannot run print so, and the others share their time.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = pathlib.Path(os.environ.get("TIDEMAP_SOAK_FOLDER", ROOT / "target" / "soak"))
 PROFILE = os.environ.get("TIDEMAP_SOAK_PROFILE", "release")
-# A turn that lasts longer hangs.
+# A turn that lasts longer is taken to hang.
 TURN_SECS_MAX = 3600
 TABLE_EVERY_SECS = 900
 FUZZ_SECS = 60
@@ -33,7 +33,7 @@ FUZZ_SECS = 60
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What is run in a turn: tests, or a fuzz target. `variable` gives the tests the number of rounds."""
+    """The program that is run in a turn: tests, or a fuzz target. `variable` gives the tests the number of rounds."""
 
     name: str
     what: str
@@ -42,7 +42,7 @@ class Row:
     tests: tuple
     variable: str = ""
     rounds: int = 1
-    # How much a turn counts for a round.
+    # Number of counts of one round.
     each: int = 1
 
     @property
@@ -163,7 +163,7 @@ class Counts:
 
 
 def turn(row, programs, counts):
-    """One turn of a row. Returns whether it can be run on this machine."""
+    """Runs one turn of a row. Returns whether it can be run on this machine."""
     of, began = counts.of(row), time.monotonic()
     seed = of["next_seed"]
     of["next_seed"] = seed + row.rounds
@@ -175,7 +175,7 @@ def turn(row, programs, counts):
         program, folder = programs[row.package]
         command = [program, "--exact", *row.tests, "--nocapture", "--test-threads", "1"]
     else:
-        # It goes on from its own corpus, and says what it lacks.
+        # It goes on from its own corpus, and prints what it lacks.
         folder, command = ROOT, ["deploy/fuzz.sh", str(row.rounds), *row.tests]
     try:
         done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,

@@ -6,7 +6,7 @@
 #
 # Zig links both for glibc 2.28, so that the wheel (manylinux_2_28) installs on Debian 10, RHEL 8, Ubuntu 20.04 and
 # later.
-# Where zig cannot be had, the wheel needs the C library of this machine, or a newer one, and a line says so.
+# Where zig cannot be had, the wheel needs the C library of this machine, or a newer one, and a line reports it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -2,7 +2,7 @@
 # Tries the Debian package as an operator would, in a clean root that debootstrap makes: install, serve, make a backup,
 # reinstall with changed settings, restore, rotate certificate and token, remove, purge. Needs root and a network.
 #
-#   deploy/debian/try.sh PACKAGE.deb [SUITE]     SUITE is stable by default; the last line says `the package works`
+#   deploy/debian/try.sh PACKAGE.deb [SUITE]     SUITE is stable by default; the last line is `the package works`
 set -euo pipefail
 package=$(realpath "$1")
 suite=${2:-stable}

@@ -50,7 +50,7 @@ pub enum ManifestError {
     Damaged {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the damage.
         reason: &'static str,
     },
     /// A newer version of tidemap wrote the directory.
@@ -64,7 +64,7 @@ pub enum ManifestError {
         file: PathBuf,
         /// The format of the directory.
         found: u32,
-        /// The newest that this version knows.
+        /// The newest format that this version can read.
         supported: u32,
     },
     /// The file cannot be read or written.

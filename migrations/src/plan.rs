@@ -1,4 +1,4 @@
-//! How to bring a data directory from its format to the current one.
+//! The way of a data directory from its format to the current one.
 //!
 //! Invariant: a plan only leads to newer formats, one at a time, and never past the format of the program. The manifest
 //! names a format only when the step to it is complete.
@@ -22,7 +22,7 @@ pub struct Step {
 /// All steps, ascending. There is one format so far.
 pub const STEPS: &[Step] = &[];
 
-/// What to do with a data directory.
+/// The plan for a data directory.
 #[derive(Clone, Debug)]
 pub enum Plan {
     /// Nothing: it has the format that this version uses.

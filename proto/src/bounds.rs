@@ -1,5 +1,5 @@
-//! How many elements each repeated field of a request may hold. A request is counted while it is still encoded, because
-//! an empty element takes two bytes on the wire and a hundred or more in memory.
+//! The maximum number of elements of each repeated field of a request. A request is counted while it is still encoded,
+//! because an empty element takes two bytes on the wire and a hundred or more in memory.
 //!
 //! Invariant: every repeated field that a request can hold has a bound, and a request beyond a bound is never decoded.
 //! The counts are totals of a whole request: elements that are spread over many parts count as well.
@@ -109,7 +109,7 @@ pub struct TooManyElements {
 
 #[derive(Debug)]
 struct Field {
-    /// Its bound and its place among the counts, if it is repeated.
+    /// The bound of the field and its place among the counts, if it is repeated.
     bound: Option<Bound>,
     /// The message that it holds.
     message: Option<usize>,

@@ -71,13 +71,13 @@ pub struct InvalidField {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{what}: {}more than the {max} that {setting} allows", got.map_or_else(String::new, |got| format!("{got} is ")))]
 pub struct OverLimit {
-    /// What there is too much of.
+    /// Name of the elements of which there are too many.
     pub what: &'static str,
-    /// How much there is, if it is known.
+    /// The number of elements, if it is known.
     pub got: Option<u64>,
-    /// How much is allowed.
+    /// The maximum number of elements.
     pub max: u64,
-    /// The setting or rule that says so.
+    /// The setting or rule that limits the number.
     pub setting: &'static str,
 }
 

@@ -1,7 +1,7 @@
-//! Looks at the first message of a gRPC body that is to be passed on.
+//! Reads the first message of a gRPC body that is to be passed on.
 //!
-//! Invariant: the body that is given back has the bytes of the one that was taken. Not more is read than the first
-//! message and what arrived with it.
+//! Invariant: the returned body has the bytes of the given one. It reads no more than the first message and the bytes
+//! that arrived with it.
 
 use std::{
     pin::Pin,
@@ -18,9 +18,9 @@ const PREFIX: usize = 5;
 /// A body of which the beginning was read.
 #[derive(Debug)]
 pub struct PeekedBody<B> {
-    /// What was read, if it arrived in one part.
+    /// The bytes read, if they arrived in one part.
     whole: Bytes,
-    /// What was read, if it arrived in several: however many there are, they take the room of their bytes.
+    /// The bytes read, if they arrived in several parts: however many there are, they take the room of their bytes.
     gathered: BytesMut,
     /// The end of a body, if it came before its first message.
     trailers: Option<Frame<Bytes>>,
@@ -69,7 +69,7 @@ impl<B: Body<Data = Bytes> + Unpin> PeekedBody<B> {
         self.gathered.extend_from_slice(&part);
     }
 
-    /// What was read, which stays read.
+    /// Takes the bytes read, which stay read.
     fn take_read(&mut self) -> Bytes {
         if !self.gathered.is_empty() {
             self.whole = self.gathered.split().freeze();
@@ -78,7 +78,7 @@ impl<B: Body<Data = Bytes> + Unpin> PeekedBody<B> {
     }
 }
 
-/// How much of the first message these bytes have.
+/// Finds how much of the first message these bytes have.
 fn arrived(read: &[u8], max: usize) -> Arrived {
     let Some((&[flag, ref length @ ..], message)) = read.split_first_chunk::<PREFIX>() else {
         return if read.first().is_none_or(|flag| *flag == 0) { Arrived::Part } else { Arrived::Unreadable };
@@ -92,10 +92,10 @@ fn arrived(read: &[u8], max: usize) -> Arrived {
     }
 }
 
-/// How much of the first message is there.
+/// The part of the first message that has arrived.
 enum Arrived {
     Part,
-    /// With where it ends.
+    /// The whole message arrived; it ends at this byte.
     Whole(usize),
     Unreadable,
 }
@@ -173,7 +173,7 @@ mod tests {
             let mut body = PeekedBody::new(parts());
             prop_assert_eq!(now(body.first_message(64)), Ok(Some(Bytes::from(message.clone()))));
             prop_assert_eq!(rest(body), bytes.clone());
-            // One that is too long is not read.
+            // A message that is too long is not read.
             let mut body = PeekedBody::new(parts());
             let found = now(body.first_message(message.len().saturating_sub(1)));
             prop_assert_eq!(found.expect("a body").is_some(), message.is_empty());

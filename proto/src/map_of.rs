@@ -1,7 +1,7 @@
-//! Which map a request names, read from its bytes.
+//! The map that a request names, read from its bytes.
 //!
-//! Invariant: what is found is what decoding the message would give. A message that cannot be decoded, or that is
-//! compressed, names no map.
+//! Invariant: the result equals that of decoding the message. A message that cannot be decoded, or that is compressed,
+//! names no map.
 
 use std::{collections::HashMap, sync::LazyLock};
 
@@ -14,7 +14,7 @@ use prost_types::{DescriptorProto, FileDescriptorSet};
 
 use crate::v1::DESCRIPTORS;
 
-/// Where the requests of a method name their map.
+/// The field in which the requests of a method name their map.
 #[derive(Debug, PartialEq, Eq)]
 enum MapField {
     /// In a field of the request.
@@ -23,17 +23,17 @@ enum MapField {
     Nested {
         /// The field that holds the message.
         message: u32,
-        /// All fields that may take its place.
+        /// All fields that may take the place of this message.
         choices: Vec<u32>,
         /// The field in the message.
         field: u32,
     },
 }
 
-/// The request that asks for a map itself, and names it in the field `name`.
+/// The request that names a map in the field `name`.
 const NAMED: &str = "GetMapRequest";
 
-/// By path.
+/// The fields by path of the method.
 static FIELDS: LazyLock<HashMap<String, MapField>> = LazyLock::new(fields);
 
 fn fields() -> HashMap<String, MapField> {

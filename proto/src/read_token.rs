@@ -1,7 +1,7 @@
-//! What a client has seen of a map that daemons share: requests carry it, so that no later reply shows less.
+//! The state of a shared map that a client has seen: requests carry it, so that no later reply shows less.
 //!
 //! Invariant: 24 bytes on the wire, the number of the map, the position and the generation, all big-endian; anything
-//! else is no token. A token of another map, which had the name before, asks for nothing.
+//! else is no token. A token of another map, which had the name before, requires nothing.
 
 use std::fmt;
 
@@ -19,7 +19,7 @@ pub const ALLOW_STALE: HeaderName = HeaderName::from_static("tidemap-allow-stale
 /// In a request: the daemon that passed it on.
 pub const FORWARDED: HeaderName = HeaderName::from_static("tidemap-forwarded");
 
-/// How much of a map was seen.
+/// The state of a map that a client has seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReadToken {
     /// Number of the map in the cluster; 0: it has none.
@@ -42,7 +42,7 @@ impl fmt::Display for ReadToken {
 }
 
 impl ReadToken {
-    /// Whether who has seen this has seen all of the other, too, or the other is of another map.
+    /// Whether a client that has seen this has seen all of the other, too, or the other is of another map.
     #[must_use]
     pub fn reaches(self, other: Self) -> bool {
         self.map_uid != other.map_uid || (self.position >= other.position && self.generation >= other.generation)

@@ -1,4 +1,4 @@
-"""Asks `tidemap foxglove` by the protocol of Foxglove: python check.py FOLDER_OF_PROGRAMS
+"""Queries `tidemap foxglove` by the protocol of Foxglove: python check.py FOLDER_OF_PROGRAMS
 
 A daemon gets a map with a grid, a topological map and a door that is open by day. The time bar is moved to times of the
 past and of the future, and the messages that follow are compared with what other commands print.
@@ -148,7 +148,7 @@ def nanos(at: dict) -> int:
 
 
 def cells(grid: dict) -> dict:
-    """The known cells of a foxglove.Grid by their centre: percents."""
+    """Returns the percents of the known cells of a foxglove.Grid, by their centre."""
     data = base64.b64decode(grid["data"])
     percents = struct.unpack(f"{len(data)}b", data)
     side, width = grid["cell_size"]["x"], grid["column_count"]
@@ -161,7 +161,7 @@ def cells(grid: dict) -> dict:
 
 
 def compare(daemon: Daemon, at: int, found: dict) -> None:
-    """What came with a time is what other commands print for it."""
+    """Checks that the messages for a time equal the output of other commands for it."""
     text = f"{at / SECOND:.0f}"
     out = daemon.folder / "cells.csv"
     daemon.run("grid", "predict", "home", "--at", text, "--out", str(out))
@@ -191,12 +191,12 @@ async def check(daemon: Daemon, url: str, today: datetime) -> list[float]:
             took.append(secs)
             doors.append(found["/states/door"]["value"])
         assert all(night < 0.3 and noon > 0.7 for night, noon in zip(doors[::2], doors[1::2])), doors
-        # Beyond the end the bar stands at the end.
+        # A time beyond the end moves the bar to the end.
         await client.request(PLAY, 1.0, last + 5 * day, "beyond")
         while (got := await client.next())[0] != "state" or got[2]["name"] != "beyond":
             pass
         assert got[1] == last and got[2]["status"] == ENDED, got
-        # While it plays the time moves, as fast as it was asked for, until the end.
+        # While it plays the time moves, at the requested speed, until the end.
         await client.request(PLAY, 60.0, last - 60 * SECOND, "play")
         while (got := await client.next())[0] != "state" or got[2]["name"] != "play":
             pass
@@ -204,7 +204,7 @@ async def check(daemon: Daemon, url: str, today: datetime) -> list[float]:
         times = []
         while (got := await client.next())[0] != "state":
             times += [got[1]] if got[0] == "/states/door" else []
-        # The first may be the map of the end, which was asked for before.
+        # The first message may be the map of the end, which was requested before.
         times = times[times[0] == last :]
         assert (got[1], got[2]["status"], times[-1]) == (last, ENDED, last), (got, times)
         assert times == sorted(times) and len(times) > 1, times

@@ -1,8 +1,8 @@
-//! The alert rules of `deploy/monitoring`: each rings for the first event of its kind, and names series that a daemon
+//! The alert rules of `deploy/monitoring`: each fires for the first event of its kind, and names series that a daemon
 //! has.
 //!
-//! Invariant: series are looked for in a real daemon before anything has happened. promtool plays the rules where it is
-//! installed.
+//! Invariant: the series are searched in a real daemon before anything has happened. promtool plays the rules where it
+//! is installed.
 
 use std::{collections::BTreeSet, fmt::Write as _, fs, path::PathBuf, process::Command};
 
@@ -88,7 +88,7 @@ async fn every_series_of_a_rule_is_there_before_the_first_event() {
 /// A series, and its values in the words of promtool.
 type Played = (&'static str, &'static str);
 
-/// What is played for each rule: series with their values, one a minute, and the minute at which it rings.
+/// The series played for each rule, with their values, one a minute, and the minute at which the rule fires.
 const PLAYED: &[(&str, &[Played], u32)] = &[
     ("TidemapDown", &[("up{job=\"tidemap\"}", "1x2 0x20")], 10),
     ("TidemapDiskFull", &[("tidemap_disk_full", "0x4 1x20")], 10),
@@ -215,7 +215,7 @@ async fn a_robot_that_is_silent_is_named_to_those_who_may_list_it() {
         lines.filter_map(|rest| Some(rest.split_once("\"} ")?.0.to_owned())).collect()
     };
     assert_eq!(named(&metrics(&daemon.http, &[])), Vec::<String>::new(), "nobody was heard");
-    // The first is silent for longest; those beyond the setting are not told.
+    // The first producer is silent for longest; producers beyond the setting are not reported.
     for producer in ["robot-1", "robot \"2\"", "robot-3"] {
         let (mut stream, _) = RawStream::open(&daemon.grpc, hello(producer, "lab")).await.expect("a Welcome");
         stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0)])).await;

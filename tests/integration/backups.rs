@@ -1,6 +1,6 @@
-//! Backups of a daemon that serves: who may ask for one, where it goes, and those that the daemon makes by itself.
+//! Backups of a daemon that serves: who may request one, where it goes, and those that the daemon makes by itself.
 //!
-//! Invariant: what is outside of the folder of backups is never written to, whoever asks.
+//! Invariant: nothing outside of the folder of backups is ever written, whoever requests it.
 
 use std::{
     fs,
@@ -24,7 +24,7 @@ use tidemap_tests::{
 };
 use tonic::Code;
 
-/// What the daemon does by itself happens within this time, with much room for a busy machine.
+/// Automatic actions of the daemon happen within this time, with much room for a busy machine.
 const HAPPENS_WITHIN: Duration = Duration::from_secs(120);
 
 async fn eventually(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
@@ -166,7 +166,7 @@ async fn scheduled_backups_share_what_is_equal_old_ones_go_and_any_can_be_restor
         daemon.stop_in_order();
     }
 
-    // After a restart the newest one still counts, so that none is due; what others put there stays.
+    // After a restart the newest backup still counts, so that none is due; files that others put there stay.
     fs::create_dir(saved.join("auto-of-somebody")).expect("made");
     let daemon = launch.setting("backup_every_secs", 100_000).start();
     assert!(metric(&daemon, "tidemap_backup_age_seconds").is_some_and(|age| age < 3_000.0));

@@ -24,7 +24,7 @@ fn observe(daemon: &Daemon, text: &str, more: &str) -> Outcome {
     cli::tidemap_reading(daemon, line.trim().split(' '), text)
 }
 
-/// What somebody does at an hour of the day.
+/// The activity of a person at an hour of the day.
 fn activity(hour: i64) -> &'static str {
     match hour {
         0..=6 | 23 => "sleep",
@@ -226,7 +226,7 @@ fn a_classification_is_learned_once_and_survives_a_kill() {
     let rows = (DAYS * 24 * 6) as f64;
     assert_eq!(counts, [("activity", rows + 3.0), ("activity@kitchen", 1.0), ("activity@bedroom", 2.0)]);
     tidemap(&daemon, "update home").table();
-    // By the time alone both are as likely as they were; the place tells them apart.
+    // By the time alone both are equally likely; the place distinguishes them.
     let at_place = |place: &str| {
         let line = format!("classify home activity --at {} {likelihood} --model mean --place {place}", after(12));
         tidemap(&daemon, &line).table()

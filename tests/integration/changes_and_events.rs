@@ -1,4 +1,4 @@
-//! States that report changes and events, as a smart home exports them, asked as its owner does.
+//! States that report changes and events, as a smart home exports them, queried as its owner does.
 
 use std::{fmt::Write as _, fs};
 
@@ -16,7 +16,7 @@ const DAYS: i64 = 28;
 /// When a sensor is on, in seconds from the start: office from nine to five, kitchen at noon, lamp at night.
 fn is_on(sensor: &str, secs: i64) -> bool {
     let (day, minute) = (secs.div_euclid(86_400), secs.rem_euclid(86_400) / 60);
-    // Not quite alike every day.
+    // The times differ a little from day to day.
     let late = (day * 37 + 11) % 23;
     match sensor {
         "binary_sensor.office" => day % 7 < 5 && (540 + late..1_020 + late).contains(&minute),
@@ -88,7 +88,7 @@ fn a_smart_home_is_forecast_from_its_export_as_from_readings() {
     let path = file.display().to_string();
     let columns = "time=last_changed,state=entity_id,value=state";
     let observe = ["observe", "home", &path, "--producer", "hub", "--changes", "--columns", columns];
-    // Without a zone the times say nothing.
+    // Times without a zone are ambiguous.
     let refused = tidemap(&daemon, observe);
     assert!(refused.stderr.contains("read such times in the map's zone with --local"), "{}", refused.stderr);
     let again = ["--local", "--label", "export"];
@@ -141,7 +141,7 @@ fn how_a_state_is_reported_never_changes() {
     assert_eq!((sent.numbers("accepted"), sent.numbers("without_value")), (vec![2.0], vec![1.0]));
     let other = send(&["--changes", "--hold-step", "10m"], "two", rows);
     other.fails(1, &["exists and is reported by changes that hold for 86400 s"]);
-    // A file is looked at before anything is sent or withdrawn.
+    // A file is checked before anything is sent or withdrawn.
     let file = data.path().join("plain.csv");
     fs::write(&file, "time,state,value\n1738537200,lamp,0\n1738540800,lamp,1\n").expect("written");
     let path = file.display().to_string();

@@ -26,7 +26,7 @@ use crate::json_output::validate;
 
 mod metrics;
 
-/// By then whatever is waited for has happened, or hangs.
+/// A deadline for every wait: the awaited event has happened by then, or the test hangs.
 pub(crate) const WITHIN: Duration = Duration::from_secs(120);
 pub(crate) const POLL: Duration = Duration::from_millis(200);
 const NAMES: [&str; 3] = ["north", "east", "west"];
@@ -35,12 +35,12 @@ fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
     start_with(folder, name, (engine, 3), "")
 }
 
-/// With so many servers of the engine, and more lines of the section.
+/// Starts a daemon with so many servers of the engine, and more lines of the section.
 pub(crate) fn start_with(folder: &Path, name: &str, engine: (&NatsServers, usize), more: &str) -> Daemon {
     launch(folder, name, engine, more).start()
 }
 
-/// In the lines, PORT is the port of the daemon.
+/// Prepares a daemon. In the lines, PORT is the port of the daemon.
 fn launch(folder: &Path, name: &str, (engine, count): (&NatsServers, usize), more: &str) -> Launch {
     let servers: Vec<String> = (0..count).map(|index| format!("{:?}", engine.url(index))).collect();
     let port = lasting_port();
@@ -79,12 +79,12 @@ pub(crate) fn writer(outcome: &Outcome) -> Option<String> {
     rows.filter(|(role, _)| *role == "writing").map(|(_, member)| member.to_owned()).next()
 }
 
-/// Whether all three members hold the map, without lag.
+/// Whether all three members hold the map, and none is behind.
 fn is_held_by_all(outcome: &Outcome) -> bool {
     outcome.code == Some(0) && tidemap_tests::cli::Table::parse(&outcome.stdout).rows.len() == 3
 }
 
-/// What a command prints as JSON is what its schema says.
+/// Checks that the JSON output of a command matches its schema.
 fn check_json(daemon: &Daemon, line: &str) -> Value {
     let root: Value = serde_json::from_str(&tidemap(daemon, ["schema"]).stdout).expect("a schema");
     let outcome = tidemap(daemon, line.split(' ').chain(["--output", "json"]));
@@ -129,7 +129,7 @@ impl Members {
         let members = self.0.len();
         eventually(self.first(), "cluster verify office", |outcome| {
             let text = format!("of {members} members: equal");
-            // Of all of them, the logs and the generation.
+            // All members have equal logs and equal generations.
             outcome.stderr.matches(&text).count() == 1 && outcome.stderr.matches(": equal").count() == 2
         });
     }
@@ -152,7 +152,7 @@ async fn an_operator_sees_moves_drains_and_verifies_maps_and_a_killed_writer_is_
     members.learn(folder, 0);
     check_json(members.first(), "cluster verify office");
 
-    // To each member once, asked of any.
+    // The map moves to each member once; any member takes the request.
     for name in NAMES.iter().filter(|name| **name != before).chain([&before.as_str()]) {
         let moved = check_json(members.first(), &format!("cluster move office {name}"));
         assert_eq!(moved[0]["writer"], *name);
@@ -186,7 +186,7 @@ async fn an_operator_sees_moves_drains_and_verifies_maps_and_a_killed_writer_is_
     drop(members);
 }
 
-/// Repeats a question until its answer is as expected.
+/// Repeats a request until its result is as expected.
 async fn until<T: std::fmt::Debug>(what: &str, ask: impl AsyncFn() -> T, is_expected: impl Fn(&T) -> bool) -> T {
     let begun = Instant::now();
     loop {
@@ -329,7 +329,7 @@ async fn observations_of_a_fork_are_taken_into_the_map_again_by_an_operators_wor
     fs::write(&file, format!("time,state,value\n{}", rows.collect::<String>())).expect("a file");
     let observe = ["observe", "office", file.to_str().expect("a path"), "--producer", "robot-1", "--label", "forked"];
     assert_eq!(tidemap(members.of(alone), observe).table().number("accepted"), 40.0);
-    // A single group may never have been acknowledged, and is not said to be a fork.
+    // A single group may never have been acknowledged, and is not reported as a fork.
     let more = ["observe", "office", &day(folder, 2), "--producer", "robot-3"];
     assert_eq!(tidemap(members.of(alone), more).table().number("accepted"), 144.0);
     drop(members.take(alone).kill());
@@ -357,7 +357,7 @@ async fn observations_of_a_fork_are_taken_into_the_map_again_by_an_operators_wor
     let states = tidemap(members.first(), ["state", "list", "office"]).table();
     let seen: Vec<(&str, &str)> = states.column("state").into_iter().zip(states.column("observations")).collect();
     assert_eq!(seen, [("door", "452"), ("gate", "20")]);
-    // What it has is not taken twice.
+    // Observations that the map has are not taken twice.
     let again = tidemap(members.first(), observe).table();
     assert_eq!((again.number("accepted"), again.number("duplicate")), (0.0, 40.0));
 }

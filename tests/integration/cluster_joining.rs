@@ -65,7 +65,7 @@ fn are_equal(outcome: &Outcome, members: usize, learned: bool) -> bool {
 async fn until_shortened(members: &Members) {
     let (client, begun) = (members.first().client(), Instant::now());
     loop {
-        // It may be away for a moment.
+        // The daemon may be away for a moment.
         let maps = client.cluster_status(true).await.map(|status| status.maps).unwrap_or_default();
         let bytes = maps.first().and_then(|map| map.log.as_ref()).map_or(u64::MAX, |log| log.bytes);
         if bytes < SHORT {

@@ -31,11 +31,11 @@ use tonic::Code;
 /// The most memory in a hostile test, in KiB.
 const MEMORY_MAX_KIB: u64 = 512 << 10;
 
-/// As many descriptors as the system allows, also for the daemon that is started then.
+/// Raises the limit of descriptors as far as the system allows, also for the daemon that is started then.
 fn raise_descriptors() -> u64 {
     let limit = getrlimit(Resource::Nofile);
     let raised = Rlimit { current: limit.maximum, ..limit };
-    // What cannot be raised stays.
+    // A limit that cannot be raised stays.
     let _ = setrlimit(Resource::Nofile, raised);
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
@@ -164,7 +164,7 @@ async fn overload_refuses_and_goes_on() {
     tidemap_tests::oracle::run_update(&daemon.client(), "office", None).await;
     let times = Arc::new((0..20_000).map(|minute| minute * 60_000_000_000_i64).collect::<Vec<_>>());
     let clients: Vec<Client> = (0..8).map(|_| daemon.client()).collect();
-    // What the daemon can do: eight clients, each with one request after the other.
+    // The capacity of the daemon: eight clients, each with one request after the other.
     let (began, mut running) = (Instant::now(), JoinSet::new());
     for client in &clients {
         let (client, times) = (client.clone(), Arc::clone(&times));

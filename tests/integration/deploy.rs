@@ -1,6 +1,6 @@
-//! What `deploy/` holds for containers and clusters: the files can be read, and the daemon takes their settings.
+//! The files of `deploy/` for containers and clusters: they can be read, and the daemon takes their settings.
 //!
-//! Invariant: no engine and no cluster is needed. What only they can tell is not tested here.
+//! Invariant: no engine and no cluster is needed. Properties that need them are not tested here.
 
 use std::{
     collections::BTreeMap,
@@ -23,7 +23,7 @@ fn documents(path: &str) -> Vec<Value> {
     serde_saphyr::from_multiple(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// What the daemon makes of settings, as `key = value`.
+/// The settings that the daemon reads, as `key = value`.
 fn settings(config: Option<&Path>, environment: &BTreeMap<String, String>) -> String {
     let mut command = Command::new(binaries::tidemapd());
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {

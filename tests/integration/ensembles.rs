@@ -1,5 +1,5 @@
-//! The ensemble of a map, asked as an operator does: what it says of hours without looks, of the next year, after a
-//! restart, and what is refused.
+//! The ensemble of a map, queried as an operator does: its predictions for hours without observations, for the next
+//! year and after a restart, and what is refused.
 
 use std::fmt::Write as _;
 
@@ -88,7 +88,7 @@ fn a_map_without_ensembles_answers_by_what_was_chosen() {
     learn(&daemon, "plain", &rows("door", (0..48).map(|hour| (hour * HOUR_SECS, hour % 24 > 8))));
     let at = (START_SECS + 3 * DAY_SECS).to_string();
     let asked = |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
-    // The answer says so.
+    // The reply names another model.
     for state in ["door", "heat"] {
         assert_ne!(asked(state).table().column("model"), ["ensemble"]);
     }
@@ -100,7 +100,7 @@ fn a_temperature_is_known_less_well_far_ahead_also_after_a_restart() {
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC"]).table();
     tidemap(&daemon, ["state", "add", "home", "heat", "--kind", "continuous"]).table();
-    // By day three degrees more than at night, and weather that comes and goes.
+    // The heat is three degrees higher by day than at night, and weather comes and goes.
     let heat = |secs: i64| {
         let days = secs as f64 / DAY_SECS as f64;
         20.0 - 3.0 * (std::f64::consts::TAU * days).cos() + 4.0 * (days / 3.7).sin() + 2.0 * (days / 1.9).sin()

@@ -18,7 +18,7 @@ mod parts;
 /// A Monday.
 const START_SECS: i64 = 1_736_121_600;
 const DAYS: i64 = 21;
-/// What tells of people: names, and a value in the bytes of an f64.
+/// The personal data: names, and a value in the bytes of an f64.
 const BED: f64 = 0.773_113_077_1;
 
 fn marks() -> Vec<Vec<u8>> {
@@ -66,7 +66,7 @@ fn observe(daemon: &Daemon, label: &str, text: &str) -> Outcome {
 fn tell(daemon: &Daemon, create: &[&str], with_people: bool) {
     tidemap(daemon, ["map", "create", "home"].iter().chain(create)).table();
     for days in [0..DAYS - 1, DAYS - 1..DAYS] {
-        // Before the door, so that its id changes.
+        // The people are added before the door, so that its id changes.
         if with_people {
             // Tasks whose value the states multiply, the first before there are states.
             let task = ["task", "add", "home", "greet", "bedside", "--duration", "10m", "--value-state"];
@@ -77,7 +77,7 @@ fn tell(daemon: &Daemon, create: &[&str], with_people: bool) {
         }
         observe(daemon, "doors", &door(0..days.end)).table();
         if with_people {
-            // A location of the states, and a plan that looks there and does the task.
+            // A location of the states, and a plan that observes there and does the task.
             tidemap(daemon, ["location", "set", "home", "corner", "bed-77113", "door"]).table();
             tidemap_reading(
                 daemon,
@@ -164,7 +164,7 @@ async fn as_if_never_observed(create: &[&str]) {
         assert!(left.is_empty(), "{left:?}");
     }
 
-    // What was pending is learned like there.
+    // The pending observations are learned as in the other daemon.
     for one in [&daemon, &never] {
         tidemap(one, ["update", "home"]).table();
     }
@@ -228,7 +228,7 @@ async fn a_kill_during_an_erasure_leaves_it_complete_or_not_begun() {
         assert!(ordered.is_ok());
         completed += u32::from(has_begun);
         assert_eq!(fs::read_dir(&maps).expect("readable").count(), 1, "round {round}: leftovers");
-        // The door learns more when the beds are told again: only the first rounds are the same.
+        // The door learns more when the beds are observed again: only the first rounds are the same.
         if round == 0 {
             assert_eq!(of_door(&daemon).await.0, before);
         }

@@ -2,7 +2,7 @@
 //!
 //! Every page has a folder and a daemon of its own, and all of them are read in order with one. Its ```` ```sh ````
 //! blocks run in order and must end with status 0; an ```` ```output ```` block directly behind one must be what that
-//! block showed. In it `…` stands for any text, and a line with `…` alone for any number of lines; the number of spaces
+//! block showed. In it `…` matches any text, and a line with `…` alone any number of lines; the number of spaces
 //! between words does not matter. Commands that a test cannot run, such as installation, are ```` ```console ````.
 //!
 //! Invariant: a block sees what a reader sees: tables, as on a terminal, unless its output goes to a file or a pipe. A
@@ -88,8 +88,7 @@ pages! {
     wire: "docs/src/wire.md",
 }
 
-/// Stands for the command line: shows a table where a reader would see one, which is where the output is not
-/// redirected.
+/// Replaces the command line: shows a table where a reader would see one, which is where the output is not redirected.
 const PROGRAM_SCRIPT: &str = r#"#!/bin/sh
 program="$TIDEMAP_BUILT/$(basename "$0")"
 case " $* " in *" --output "*) exec "$program" "$@" ;; esac
@@ -117,7 +116,7 @@ fn run(path: &str) {
     let renewed = reader.follow_all(path, &blocks);
     reader.daemon.stop_in_order();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-    // From the last block on, so that the lines of those before stay where they are.
+    // From the last block on, so that the lines of the blocks before stay where they are.
     for (place, output) in renewed.iter().rev() {
         lines.splice(place.clone(), output.lines().map(str::to_owned));
     }
@@ -234,7 +233,7 @@ fn wait(mut command: Command) -> std::io::Result<ExitStatus> {
             None => thread::sleep(POLL),
         }
     };
-    // What the block left running in the background, or all of it.
+    // Kills the processes that the block left running in the background, or all of them.
     if let Some(group) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
         let _ = kill_process_group(group, Signal::KILL);
     }

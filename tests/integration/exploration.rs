@@ -105,7 +105,7 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     assert!(reply.number("information_bits") > 2.0 && reply.number("reachability") == 0.5, "{reply:?}");
     let drawn = fs::read_to_string(&picture).expect("a picture");
     assert!(drawn.starts_with("<svg") && drawn.matches("<circle").count() == 1);
-    // From the charger through the gap: farther than as the crow flies.
+    // The way leads from the charger through the gap: it is longer than the straight line.
     let secs = reply.number("arrival_secs");
     assert!(secs > 1.01 * (best[0] - 1.0).hypot(best[1] - 7.0) / 0.5, "{secs} to {best:?}");
 
@@ -129,7 +129,7 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     assert!((tried.number("x") - best[0]).abs() <= 0.25 && (tried.number("y") - best[1]).abs() <= 0.25, "{tried:?}");
     let elsewhere = goals(&tour(&daemon, nine, &["--count", "1"]).table())[0];
     assert!(elsewhere != best && sees_seat(elsewhere), "{elsewhere:?}");
-    // A budget that is too short says so; several goals come in driving order.
+    // The reply to a budget that is too short gives the reason; several goals come in driving order.
     let short = tour(&daemon, nine, &["--budget", "10s"]);
     assert!(short.table().rows.is_empty() && short.stderr.contains("no tour: the time for the tour is 10 s"));
     let many = tour(&daemon, nine, &["--count", "3"]).table();
@@ -197,7 +197,8 @@ async fn views_regions_and_mistakes_are_answered() {
     info(&["--view", "1,1,0,0"]).fails(2, &["1,1,0,0"]);
     info(&["--view", "1,1,0,1e9"]).fails(1, &["1000000000", "range"]);
     info(&["--state", "cell/900/0/0"]).fails(1, &["never observed"]);
-    // Without targets: where on the grid looking pays, best first. Unknown cells are in no area.
+    // Without targets: the places on the grid where an observation is worth most, best first. Unknown cells are in no
+    // area.
     let areas = info(&[]).table();
     let bits = areas.numbers("information_bits");
     assert!(bits.len() > 3 && bits.is_sorted_by(|one, next| one >= next) && bits[0] > 0.0, "{:?}", areas.rows);
@@ -296,7 +297,7 @@ fn check_slots(daemon: &Daemon) {
     // In the morning the desk is uncertain; the wall never is.
     assert_eq!(slot(daemon, &[]).table().column("location"), ["office"]);
     assert!(slot(daemon, &[]).table().numbers("information_bits")[0] > 0.1);
-    // The published gain by default; both measures add what the look teaches.
+    // The published gain by default; both measures add the gain from learning.
     let bits = |measure: &str| slot(daemon, &["--information", measure]).table().numbers("information_bits")[0];
     assert_eq!(bits("ral"), slot(daemon, &[]).table().numbers("information_bits")[0]);
     assert!(bits("both") > bits("ral") && bits("learn") > 0.0, "{} {}", bits("both"), bits("ral"));
@@ -315,7 +316,7 @@ fn check_slots(daemon: &Daemon) {
     );
 }
 
-/// What contradicts the model is looked at instead of what was planned.
+/// A state that contradicts the model is observed instead of the planned location.
 fn check_surprise(daemon: &Daemon) {
     // A person at the desk at night, which the model excludes.
     let night = "time,state,value\n1453690800,desk,1\n1453690860,desk,1\n";

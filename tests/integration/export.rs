@@ -1,8 +1,8 @@
 //! Exported maps, read back by readers that others wrote: the crate mcap here, and in `export/readers.rs` two packages
 //! of Python.
 //!
-//! Invariant: expected values are those that other commands print; files are read as their formats say, not by the code
-//! that wrote them.
+//! Invariant: expected values are those that other commands print; files are read as their formats define, not by the
+//! code that wrote them.
 
 mod files;
 mod graph;

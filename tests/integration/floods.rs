@@ -1,7 +1,7 @@
 //! Floods: strangers who hold what they can get, and what others see of it.
 //!
-//! Invariant: the daemon answers those who have a token, and those who ask whether it lives, whatever strangers do.
-//! Times are printed and not asserted. `TIDEMAP_FLOOD_SECS` is the duration of each flood.
+//! Invariant: the daemon answers clients with a token, and requests for its health, whatever strangers do. Times are
+//! printed and not asserted. `TIDEMAP_FLOOD_SECS` is the duration of each flood.
 
 use std::{
     io::{Read as _, Write as _},
@@ -103,7 +103,7 @@ async fn large_json_delays_nobody_with_and_without_a_token() {
     let flood = Flood::posts(&daemon.http, path, "", body.as_bytes(), (&SOURCES, 33));
     work(&admin, &flood, "strangers").await;
     let answers = flood.answers();
-    // One whose connection was full may have been told that.
+    // A client whose connection was full may have got that code.
     assert!(answers.contains(&401) && answers.iter().all(|code| matches!(code, 401 | 503)), "{answers:?}");
     drop(flood);
     let header = format!("Authorization: Bearer {token}\r\n");
@@ -148,7 +148,7 @@ async fn connections_of_which_every_request_was_refused_make_room() {
         let mut socket = connect_from(SOURCES[number % 2], &daemon.grpc).await.expect("a connection");
         let call = call_headers(1, "/tidemap.v1.MapService/ListMaps", true);
         socket.write_all(&[http2_preface(), call].concat()).await.expect("a call");
-        // Its settings and its answer.
+        // The bytes are its settings and its answer.
         let mut seen = Vec::new();
         while !seen.windows(11).any(|bytes| bytes == b"grpc-status") && !seen.contains(&16) {
             let mut bytes = [0; 512];
@@ -173,7 +173,7 @@ async fn slow_requests_do_not_blind_the_http_port() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     let mut slow = Vec::new();
-    // Those whose request has not arrived yet make room, so that it takes some more than the limit.
+    // Connections whose request has not arrived yet make room, so that it takes some more than the limit.
     for number in 0.. {
         if number >= 256 && daemon.process().stderr().contains("a connection was refused") {
             break;
@@ -187,18 +187,18 @@ async fn slow_requests_do_not_blind_the_http_port() {
         slow.push(socket);
     }
     assert_eq!([probe(&daemon, "/healthz"), probe(&daemon, "/readyz")], [200, 200]);
-    // They end after some seconds, whether or not more comes of them.
+    // These connections end after some seconds, whether or not more bytes come.
     let mut late = 0;
     for socket in &mut slow {
         let mut answer = [0; 1024];
         let Ok(length @ 1..) = socket.read(&mut answer).await else { continue };
         let answer = String::from_utf8_lossy(&answer[..length]);
-        // One that made room has broken off; one that was refused came into the reserve, or after too many.
+        // A connection that made room has broken off; one that was refused came into the reserve, or after too many.
         assert!([" 408 ", " 413 ", " 429 ", " 503 "].iter().any(|code| answer.contains(code)), "{answer}");
         late += usize::from(answer.contains(" 408 "));
     }
     assert!(late > 100, "{late} requests were late");
-    // Those that have just ended still count for a moment.
+    // Requests that have just ended still count for a moment.
     while call(&daemon.http, "MapService/ListMaps", &[], &json!({})).code != 200 {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }

@@ -1,6 +1,6 @@
 //! Flows of people from outside: two corridors whose streams turn at noon.
 //!
-//! Invariant: what is expected follows from the walks, never from the daemon's answers.
+//! Invariant: the expected flows follow from the walks, never from the daemon's answers.
 
 use std::fmt::Write as _;
 

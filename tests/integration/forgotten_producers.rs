@@ -73,7 +73,7 @@ async fn a_forgotten_producer_frees_its_place_and_keeps_its_numbers() {
     assert_eq!(known(&client).await, ["stays"]);
     assert_eq!(observations(&client).await, 4, "what it sent stays");
 
-    // It survives a kill, and comes from a checkpoint.
+    // The change survives a kill, and comes from a checkpoint.
     daemon.kill();
     let daemon = launch.start();
     assert_eq!(known(&daemon.client()).await, ["stays"]);
@@ -82,7 +82,7 @@ async fn a_forgotten_producer_frees_its_place_and_keeps_its_numbers() {
     let daemon = launch.start();
     assert_eq!(known(&daemon.client()).await, ["stays"]);
 
-    // It comes back to the free place: as a new incarnation, behind what it has sent.
+    // The producer comes back to the free place: as a new incarnation, behind its earlier observations.
     let old = refused(&daemon, Hello { incarnation, ..hello("gone", "office") }).await;
     assert!(old.code() == Code::Aborted && old.message().contains("was forgotten"), "{old:?}");
     let (again, durable) = send_two(&daemon, hello("gone", "office")).await;

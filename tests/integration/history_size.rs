@@ -1,6 +1,6 @@
-//! How much the history of a door takes that is read every second, as the command line says.
+//! The size of the history of a door that is read every second, as the command line reports it.
 //!
-//! Invariant: what is expected follows from the rows that were sent and from the length of the files.
+//! Invariant: the expected sizes follow from the rows that were sent and from the length of the files.
 
 use std::{fmt::Write as _, fs};
 

@@ -1,6 +1,6 @@
 //! Recordings of robots become maps, by the real command and daemon.
 //!
-//! Invariant: what is expected follows from how a recording was written, or from an independent program that has read
+//! Invariant: the expected data follows from how a recording was written, or from an independent program that has read
 //! it, never from the daemon's answers.
 
 mod mappings;
@@ -23,14 +23,14 @@ fn words(daemon: &Daemon, line: &str) -> Outcome {
     cli::tidemap(daemon, line.split(' '))
 }
 
-/// What became of a topic: accepted, skipped, refused.
+/// The counts of a topic: accepted, skipped, refused.
 #[track_caller]
 fn counts(table: &Table, topic: &str) -> [u64; 3] {
     let row = table.column("topic").iter().position(|name| *name == topic).expect("the topic");
     ["accepted", "skipped", "refused"].map(|name| table.column(name)[row].parse().expect("a count"))
 }
 
-/// A robot drives along the middle of a room of 6 x 4 metres whose corner is at the origin, and looks all around.
+/// A robot drives along the middle of a room of 6 x 4 metres whose corner is at the origin, and scans all around.
 fn drive(scans: i64) -> Bag {
     let mut bag = Bag::default();
     bag.transform("/tf_static", START_NANOS, ("base", "laser"), [0.2, 0.0, 0.0]);

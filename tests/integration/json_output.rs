@@ -1,4 +1,4 @@
-//! What commands print with `--output json`, against the schema that `tidemap schema` prints.
+//! The output of commands with `--output json`, against the schema that `tidemap schema` prints.
 //!
 //! Invariant: every command with a result is run here, and its output validated; keywords that the validator does not
 //! know are an error, so that no rule of the schema is skipped.
@@ -13,8 +13,8 @@ use tidemap_tests::{
     daemon::{Daemon, Launch},
 };
 
-/// Commands that take long, or no daemon; their definition is that of a command that is run. Those of a cluster are run
-/// where there is one, in `cluster.rs`.
+/// Commands that take long, or no daemon; their definition is that of a command that is run. Commands of a cluster are
+/// run where there is one, in `cluster.rs`.
 const NOT_RUN: [&str; 8] = [
     "cluster status",
     "cluster maps",
@@ -144,7 +144,7 @@ impl Checked {
         cli::tidemap(&self.daemon, args.split_whitespace().chain(more.iter().copied()).chain(["--output", "json"]))
     }
 
-    /// Runs a command of these words; what it prints must be as the schema says, and have rows unless `may_be_empty`.
+    /// Runs a command of these words; its output must match the schema, and have rows unless `may_be_empty`.
     #[track_caller]
     fn run(&mut self, words: &str, args: &str) -> Value {
         self.ran.insert(words.to_owned());
@@ -165,7 +165,7 @@ impl Checked {
         value
     }
 
-    /// A command that fails writes its error as the schema says.
+    /// A command that fails writes its error as the schema defines it.
     #[track_caller]
     fn fails(&self, args: &str, code: &str) {
         let outcome = self.outcome(args, &[]);
@@ -224,7 +224,7 @@ fn check_states(checked: &mut Checked, folder: &str) {
     let chosen = updated.as_array().and_then(|all| all.iter().find(|row| row["state"] == "door"));
     assert_eq!(chosen.map(|row| &row["model"]), Some(&after[0]["model"]), "{updated} {after}");
     let shown = checked.run("model show", "home door");
-    // The single model that the update has chosen, beside the ensemble that answers.
+    // The single model that the update has chosen, beside the ensemble that predicts.
     assert_eq!((&after[0]["model"], &shown["model"]), (&"ensemble".into(), &"histogram:24".into()));
     let mean = checked.run("predict", &format!("home door --at {NOON} --model mean"));
     assert_eq!(mean[0]["model"], "mean");

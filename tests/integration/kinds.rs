@@ -155,7 +155,7 @@ fn counts_are_learned_as_counts() {
     let sent = observe(&daemon, "learn", &learn, &[]).table();
     assert_eq!((sent.number("accepted"), sent.number("refused")), (21.0 * 144.0, 0.0));
 
-    // It is untrained: 0, and no interval.
+    // The state is untrained: 0, and no interval.
     let at = (START_SECS + 30 * DAY_SECS + 12 * 3600).to_string();
     let reply = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
     assert_eq!(
@@ -229,7 +229,7 @@ fn what_is_not_a_value_of_the_kind_is_refused_by_itself() {
     assert_eq!(mismatched.table_with(1).rows, [["2", "1", "0", "1"]]);
     assert!(mismatched.stderr.contains("is a count, not a continuous"), "{}", mismatched.stderr);
 
-    // None of it is learned, and all of it is in the log.
+    // No observation is learned, and all are in the log.
     daemon.kill();
     let daemon = launch.start();
     let expected = [("people", "count"), ("speed", "continuous"), ("door", "probability"), ("new", "probability")];

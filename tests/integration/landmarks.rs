@@ -1,5 +1,5 @@
-//! Landmarks from outside: sightings are learned exactly once, also through a kill; which landmarks are visible when;
-//! and where a robot is by what it sees.
+//! Landmarks from outside: sightings are learned exactly once, also through a kill; the times at which landmarks are
+//! visible; and the place of a robot by the landmarks that it sees.
 //!
 //! Invariant: the expected answers follow from the files that were sent, never from the daemon's answers.
 
@@ -47,8 +47,8 @@ fn add(daemon: &Daemon, text: &str) -> Outcome {
     cli::tidemap_reading(daemon, ["landmark", "add", "office", "-", "--descriptors", "test-64"], text)
 }
 
-/// Hourly looks from both nodes. From eight to eighteen the windows are seen, at other hours the lamps; the curtain is
-/// never seen; a door hides the switch.
+/// Hourly sightings from both nodes. From eight to eighteen the windows are seen, at other hours the lamps; the curtain
+/// is never seen; a door hides the switch.
 fn sightings() -> String {
     let mut rows = "time,place,seen,out_of_view\n".to_owned();
     for hour in 0..DAYS * 24 {
@@ -260,7 +260,7 @@ async fn sightings_that_stand_for_more_than_a_record_of_the_log_are_taken_in_par
     assert!(producer.take_refusals().is_empty());
     let map = daemon.client().map("office").await.expect("the map");
     assert_eq!(map.observations, 3 * 4_096);
-    // What was never learned is not pruned.
+    // A landmark without learned sightings is not pruned.
     tokio::task::block_in_place(|| {
         assert!(
             tidemap(&daemon, ["landmark", "prune", "office", "--below", "1", "--min-sightings", "1"])

@@ -11,7 +11,7 @@ use tidemap_tests::{
     web::request,
 };
 
-/// Doors of which each row stands for almost a million readings.
+/// Number of doors, each row of which represents almost a million readings.
 const DOORS: usize = 20;
 
 /// A map with doors that report changes, read off every second; each has a row, and one 11 days later.
@@ -43,13 +43,13 @@ async fn a_long_update_of_one_map_does_not_hold_up_another() {
     let long = client.job(long.id).await.expect("known");
     assert_eq!(long.state, JobState::Running, "a short update waits for no long one: {long:?}");
 
-    // What waits is in the metrics and among the counters of the map, as soon as a part has ended.
+    // The number of waiting readings is in the metrics and among the counters of the map, as soon as a part has ended.
     let metrics = request(&daemon.http, "GET", "/metrics", &[], b"").text();
     for name in ["tidemap_waiting_rows", "tidemap_updates_waiting_turn"] {
         assert!(metrics.lines().any(|line| line.starts_with(name)), "{name} is not in\n{metrics}");
     }
     let counters = tidemap(&daemon, ["stats", "heavy"]).stdout;
     assert!(counters.contains("waiting_rows"), "{counters}");
-    // It would go on for minutes: it begins again at the next start.
+    // The update would go on for minutes: it begins again at the next start.
     daemon.kill();
 }

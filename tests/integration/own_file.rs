@@ -127,7 +127,7 @@ fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
         let _ = writeln!(words, "{},door,{value}", 1_738_537_200 + row * 600);
         let _ = writeln!(events, "{},gate,1", 1_738_537_200 + row * 600);
     }
-    // Half of the words are unknown: each is told once.
+    // Half of the words are unknown: each is reported once.
     let sent = home.observe(&home.file("words.csv", &words), &["--changes"]);
     sent.fails(1, &["have only one value, 1 for the first", "state \"door\"", "--values WORD=0"]);
     assert_eq!(sent.stderr.matches("value \"aus\" is not a number").count(), 1, "{}", sent.stderr);
@@ -178,7 +178,7 @@ fn the_night_in_which_an_hour_comes_twice_is_told() {
     home.run(&["anomalies", "home", "--confidence", "0.6"]).fails(2, &["--confidence 0.6", "use 0.9 to 1"]);
     let loose = ["anomalies", "home", "door", "--model", "mean", "--confidence", "0.5"];
     home.run(&loose).fails(2, &["--confidence 0.5", "above 0.5 and at most 1"]);
-    // What auto answers with is named as predictions name it.
+    // The model behind auto is named as predictions name it.
     let shown = home.run(&["model", "show", "home", "door"]).table();
     let answered = predict(&["--at", "2025-10-26T12:00:00Z"]).table();
     assert_eq!(shown.column("auto").first(), answered.column("model").first());

@@ -38,7 +38,7 @@ fn the_page_shows_an_office_in_a_browser() {
         Err(reason) => return println!("SKIPPED: {reason}"),
     };
     let folder = tempdir().expect("a folder");
-    // The pictures of the guide are made here, where they are asked for.
+    // The pictures of the guide are made here, if they are requested.
     let kept = env::var_os("TIDEMAP_PAGE_PICTURES").map_or_else(|| folder.path().to_owned(), PathBuf::from);
     let output = Command::new("node")
         .current_dir(&web)

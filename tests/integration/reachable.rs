@@ -1,4 +1,4 @@
-//! What a robot reaches from a node, against all ways that there are.
+//! The nodes that a robot reaches from a node, against all ways that there are.
 //!
 //! Invariant: the expected list follows from the edges as `topology predict` lists them, by trying every way.
 

@@ -135,7 +135,7 @@ async fn the_list_of_producers_tells_who_was_heard_and_when() {
     assert_eq!(table.numbers("observations"), [1.0, 2.0]);
     let since = before.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_secs_f64();
     assert!(table.numbers("received").iter().all(|&at| (since - 1.0..since + 600.0).contains(&at)), "{table:?}");
-    // It outlives the checkpoint and the daemon.
+    // The time of receipt outlives the checkpoint and the daemon.
     tidemap_tests::cli::tidemap(&running, ["update", "home"]).table();
     drop(stream);
     running.stop_in_order();

@@ -57,7 +57,7 @@ fn new_habits_are_scored_beside_baselines_and_by_what_their_intervals_hold() {
     let errors = Table::parse(&file("errors.csv"));
     let names = errors.column("prediction");
     assert_eq!((names.len(), names[0], names[6]), (14, "auto", "truth"));
-    // `auto` against the best of the tables, as the row says.
+    // `auto` against the best of the tables, as the row states.
     let mse = errors.numbers("mse");
     let best = mse[1..6].iter().copied().fold(f64::INFINITY, f64::min);
     assert!((table.numbers("mse_of_best")[0] - (mse[0] / best - 1.0)).abs() < 1e-9, "{errors:?}");

@@ -144,7 +144,7 @@ fn a_policy_waits_for_the_door_where_there_is_no_way_around_it() {
 #[test]
 fn a_search_may_take_edges_as_they_were_travelled() {
     let (_data, _launch, daemon) = learned();
-    // Robots take a minute from the hall to the yard, which the map says are 10 s.
+    // Robots take a minute from the hall to the yard, for which the map has 10 s.
     let mut rows = "from,to,start,end,success\n".to_owned();
     let mut seen = "time,state,value\n".to_owned();
     for hour in 0..21 * 24 {

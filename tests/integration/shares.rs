@@ -114,7 +114,7 @@ async fn new_states(client: &Client, producer: &str, count: u32) -> Vec<Refusal>
 #[tokio::test(flavor = "multi_thread")]
 async fn one_token_leaves_states_of_a_map_to_others() {
     let (_work, daemon, [admin, greedy, other], _) = guarded(|launch| launch.setting("max_states_per_map", 9)).await;
-    // All 9 were free when the first one was added.
+    // All 9 places were free when the first one was added.
     let refused = new_states(&greedy, "greedy", 8).await;
     assert_eq!(refused.len(), 3, "5 of 9: {refused:?}");
     assert!(refused[0].detail.contains("half of the room") && refused[0].detail.contains("max_states_per_map"));
@@ -183,7 +183,7 @@ async fn requests_count_by_token_and_not_by_address() {
     let refused = loop {
         match greedy.maps().await {
             Err(error) => break error,
-            // One of both came while the other was under way.
+            // One stream of both came while the other was under way.
             Ok(_) if held.is_finished() => held = lasting(),
             Ok(_) => tokio::time::sleep(std::time::Duration::from_millis(5)).await,
         }

@@ -1,5 +1,5 @@
-//! States whose sensor is known, asked as an operator does: what a reading proves, after an update and a restart too,
-//! and what is refused.
+//! States whose sensor is known, queried as an operator does: the evidence of a reading, after an update and a restart
+//! too, and what is refused.
 
 use std::fmt::Write as _;
 

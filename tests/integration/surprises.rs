@@ -1,4 +1,4 @@
-//! What was unusual stays so after the night in which it was learned, wherever the map is read from.
+//! Unusual observations stay so after the night in which they were learned, wherever the map is read from.
 
 use std::fmt::Write as _;
 
@@ -44,13 +44,13 @@ fn update(daemon: &Daemon, day: i64) {
     tidemap(daemon, ["update", "home", "--until", until.as_str()]).table();
 }
 
-/// What was unusual in the last days.
+/// The unusual runs of the last days.
 fn unusual(daemon: &Daemon, args: &[&str]) -> Table {
     let (from, to) = ((START_SECS + 24 * DAY_SECS).to_string(), (START_SECS + 28 * DAY_SECS).to_string());
     tidemap(daemon, ["anomalies", "home", "--from", &from, "--to", &to].iter().chain(args)).table()
 }
 
-/// That the door which was left open is the first, as one run.
+/// Checks that the door which was left open is the first, as one run.
 fn check_open_door(found: &Table, when: &str) {
     assert_eq!(found.columns, ["state", "first", "last", "observations", "value", "probability", "surprise_bits"]);
     let column = |name| found.numbers(name);
@@ -77,7 +77,7 @@ fn a_door_left_open_is_the_first_surprise_before_and_after_the_nights_that_learn
         check_open_door(&unusual(&daemon, &["--confidence", "0.9"]), &format!("learned until day {day}"));
     }
     let learned = unusual(&daemon, &["--confidence", "0.9"]);
-    // What it asks for is what it gets.
+    // A request for one state lists its runs alone.
     let one = format!("door-{OPEN}");
     let of_one = unusual(&daemon, &[&one, "--confidence", "0.9"]);
     assert!(of_one.rows.iter().all(|row| row[0] == one) && of_one.rows[0] == learned.rows[0]);
@@ -86,7 +86,7 @@ fn a_door_left_open_is_the_first_surprise_before_and_after_the_nights_that_learn
     assert!(certain.rows.iter().all(|row| learned.rows.contains(row)));
     tidemap(&daemon, ["anomalies", "home", "nobody", "--from", "0", "--to", "9"]).fails(1, &["nobody", "door-"]);
 
-    // It is durable.
+    // The runs are durable.
     daemon.stop_in_order();
     let again = Launch::on(data.path()).start();
     assert_eq!(unusual(&again, &["--confidence", "0.9"]), learned, "after a restart");

@@ -147,7 +147,7 @@ fn reports_are_taken_exactly_once_and_make_the_figures() {
         assert_eq!((table.number("autonomy_percent"), table.number("lifetime_secs")), (10.0, 7_200.0));
     }
 
-    // What was reported is learned, and erased with its state.
+    // Reports are learned, and erased with their state.
     tidemap(&daemon, ["update", "office"]).table();
     let noon = format!("{DATE}T12:00:00Z");
     let chance = tidemap(&daemon, ["predict", "office", "task/greet/Hall", "--at", &noon, "--model", "mean"]).table();
@@ -200,7 +200,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     let plan = words(&daemon, &format!("plan show office --date {DATE}")).table();
     let way = plan.numbers("start")[0] - plan.numbers("departure")[0];
     assert!(way > 170.0, "{way} s by the yard");
-    // Its edges are still predicted.
+    // The edges of the topology are still predicted.
     assert_eq!(words(&daemon, &format!("topology predict office --at {noon}")).table().rows.len(), 8);
 
     // A node inside is not reached.

@@ -68,7 +68,7 @@ async fn a_collector_gets_spans_of_requests_commits_jobs_and_checkpoints() {
     assert_eq!(hex(&report.trace_id), &RECORDED[3..35], "the trace of the caller goes on");
     assert_eq!(hex(&report.parent_span_id), &RECORDED[36..52]);
     assert_eq!(attribute(&report, "tidemap.map").as_deref(), Some("home"));
-    // That of the unrecorded trace is missing.
+    // The span of the unrecorded trace is missing.
     let failed = one("tidemap.v1.MapService/GetMap");
     assert_eq!(attribute(&failed, "rpc.grpc.status_code").as_deref(), Some("5"));
     assert_eq!(attribute(&failed, "tidemap.map"), None, "there is no such map");
@@ -99,7 +99,7 @@ async fn a_collector_gets_spans_of_requests_commits_jobs_and_checkpoints() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_collector_that_is_absent_or_hangs_costs_spans_only() {
-    // It takes connections and answers nothing.
+    // It takes connections and sends nothing.
     let hanging = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let absent = TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a free port");
     for address in [absent, hanging.local_addr().expect("an address")] {

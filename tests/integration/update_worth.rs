@@ -1,6 +1,6 @@
-//! What the command line says of whether an update is worth it.
+//! The advice of the command line whether an update is worth it.
 //!
-//! Invariant: what is expected follows from the rows that were sent.
+//! Invariant: the expected advice follows from the rows that were sent.
 
 use std::fmt::Write as _;
 

@@ -284,7 +284,7 @@ fn what_is_no_position_is_refused_whole() {
     position(&["anna", "--at", "1", "--region", "0,0:1,1", "--resolution", "1e-9"])
         .fails(1, &["cells", "max_predictions"]);
 
-    // None of it is learned, and all of it is in the log.
+    // No observation is learned, and all are in the log.
     daemon.kill();
     let daemon = launch.start();
     let expected = [["anna", "vector", "2", "2"], ["door", "probability", "", "0"], ["new", "vector", "2", "1"]];

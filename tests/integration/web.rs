@@ -139,7 +139,7 @@ async fn pages_of_others_are_refused() {
     }
     assert_eq!(list(&[("host", "lab.example:80")]).code, 200);
     assert_eq!(list(&[]).json()["maps"].as_array().map(Vec::len), Some(0), "nothing was created");
-    // Health and metrics tell nothing about maps, and monitors reach them by any name.
+    // Health and metrics contain nothing about maps, and monitors reach them by any name.
     for path in ["/healthz", "/readyz", "/metrics"] {
         assert_eq!(request(&daemon.http, "GET", path, &[("host", "tidemap.lab")], b"").code, 200, "{path}");
     }

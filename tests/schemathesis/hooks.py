@@ -18,7 +18,7 @@ def map_body(context, body):
         return body
     if any(context.operation.path.endswith(name) for name in DESTRUCTIVE):
         return body
-    # By content, so that the same seed gives the same requests.
+    # Ordered by content, so that the same seed gives the same requests.
     digest = hashlib.sha256(json.dumps(body, sort_keys=True, default=str).encode()).digest()
     if digest[0] % 2 == 0:
         return body

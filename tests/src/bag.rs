@@ -135,7 +135,7 @@ impl Bag {
         self.bytes.len()
     }
 
-    /// Whether there are none: a bag always has its first bytes.
+    /// Whether the bag has no bytes: it always has its first ones.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()

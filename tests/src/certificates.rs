@@ -1,7 +1,8 @@
-//! Certificates for tests, made anew by each test: authorities, and what they sign for daemons and clients.
+//! Certificates for tests, made anew by each test: authorities, and the certificates that they sign for daemons and
+//! clients.
 //!
-//! Invariant: a certificate names this machine (`localhost`, 127.0.0.1) where no other names are asked for, and its
-//! files are its owner's alone.
+//! Invariant: a certificate names this machine (`localhost`, 127.0.0.1) where no other names are given, and its files
+//! are its owner's alone.
 
 use std::{
     fs,
@@ -47,13 +48,13 @@ pub struct Pair {
 pub enum Validity {
     /// For years.
     Years,
-    /// It ended years ago.
+    /// The certificate ended years ago.
     Ended,
-    /// It begins in a century.
+    /// The certificate begins in a century.
     NotYet,
 }
 
-/// Which side of a connection a certificate is for.
+/// The side of a connection that a certificate is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// Servers and clients.
@@ -62,7 +63,7 @@ pub enum Purpose {
     Clients,
 }
 
-/// What an authority of a name is made of.
+/// The parameters and the key of an authority of a name.
 fn authority(name: &str) -> (CertificateParams, KeyPair) {
     let mut params = CertificateParams::new(Vec::<String>::new()).expect("parameters");
     params.distinguished_name.push(DnType::CommonName, name);
@@ -132,7 +133,8 @@ impl Authority {
         Pair { certificate, key: key.serialize_pem() }
     }
 
-    /// What opens TLS connections of this version to those who have a certificate of this authority.
+    /// Returns a connector that opens TLS connections of this version to those who have a certificate of this
+    /// authority.
     ///
     /// # Panics
     /// If TLS cannot be set up.

@@ -125,7 +125,7 @@ pub fn tidemap<T: AsRef<OsStr>>(daemon: &Daemon, args: impl IntoIterator<Item = 
     run(command(&daemon.grpc, args))
 }
 
-/// As [`tidemap`], with a text as stdin.
+/// Does the same as [`tidemap`], with a text as stdin.
 ///
 /// # Panics
 /// If it cannot be started.

@@ -33,7 +33,7 @@ impl TraceService for Kept {
 /// A collector that runs.
 #[derive(Debug)]
 pub struct Collector {
-    /// Its address, as a daemon's setting takes it.
+    /// Address of the collector, as a daemon's setting takes it.
     pub endpoint: String,
     kept: Kept,
     task: JoinHandle<()>,
@@ -79,7 +79,7 @@ impl Collector {
         self.spans().into_iter().filter(|span| span.name == name).collect()
     }
 
-    /// All that was sent, as bytes.
+    /// All bytes that were sent.
     #[must_use]
     pub fn bytes(&self) -> Vec<u8> {
         self.messages().iter().flat_map(prost::Message::encode_to_vec).collect()

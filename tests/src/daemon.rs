@@ -141,7 +141,7 @@ impl Launch {
 /// Exit status and stderr of a process.
 #[derive(Clone, Debug)]
 pub struct Exit {
-    /// How the process ended.
+    /// The status with which the process ended.
     pub status: ExitStatus,
     /// All of stderr.
     pub stderr: String,
@@ -245,7 +245,7 @@ impl Process {
         self.exit()
     }
 
-    /// Its stderr so far.
+    /// The daemon's stderr so far.
     #[must_use]
     pub fn stderr(&self) -> String {
         self.stderr.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -267,7 +267,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -304,7 +304,7 @@ impl Daemon {
         self.process.kill()
     }
 
-    /// Asks it to stop and waits for that.
+    /// Asks the daemon to stop and waits for that.
     pub fn stop(mut self) -> Exit {
         self.process.signal(Signal::TERM);
         self.process.exit()
@@ -315,7 +315,7 @@ impl Daemon {
         self.process.exit()
     }
 
-    /// Asks it to stop, and checks that it stopped in order.
+    /// Asks the daemon to stop, and checks that it stopped in order.
     ///
     /// # Panics
     /// If it does not.
@@ -334,7 +334,7 @@ impl Daemon {
 pub fn lasting_port() -> u16 {
     /// Ports used so far: tests of one process must not get the same port while it is free between two daemons.
     static GIVEN: AtomicU16 = AtomicU16::new(0);
-    // Tests that run at once are processes of neighbouring numbers, and each asks for a few ports.
+    // Tests that run at once are processes of neighbouring numbers, and each needs a few ports.
     let first = 20_000 + u16::try_from(std::process::id() % 750 * 8).unwrap_or(0);
     let free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
     let port = std::iter::repeat_with(|| first + GIVEN.fetch_add(1, Ordering::Relaxed)).take(5_000).find(free);

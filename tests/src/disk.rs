@@ -117,7 +117,7 @@ impl CutDisk {
         Ok(Self { mount, device, image, folder: folder.to_path_buf() })
     }
 
-    /// Where it is mounted.
+    /// The folder where the disk is mounted.
     #[must_use]
     pub fn folder(&self) -> &Path {
         self.mount.folder()

@@ -19,7 +19,7 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Whether the daemon must refuse it.
+    /// Whether the daemon must refuse the observation.
     #[must_use]
     pub fn is_refused(&self) -> bool {
         !(0.0..=1.0).contains(&self.value)

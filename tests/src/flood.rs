@@ -21,7 +21,7 @@ use tokio_rustls::rustls::{pki_types::ServerName, version};
 
 use crate::certificates::Authority;
 
-/// Something that is silent for so long says nothing more for now.
+/// A connection that is silent for so long sends nothing more for now.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
 /// A connection that is not read is held for so long.
 const HELD_FOR: Duration = Duration::from_secs(5);
@@ -35,7 +35,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(60);
 pub async fn connect_from(source: Ipv4Addr, address: &str) -> std::io::Result<TcpStream> {
     let address: SocketAddr = address.parse().expect("HOST:PORT of loopback");
     let socket = TcpSocket::new_v4()?;
-    // What is not read stays at the other end.
+    // Bytes that are not read stay at the other end.
     socket.set_recv_buffer_size(16 << 10)?;
     socket.bind(SocketAddr::from((source, 0)))?;
     socket.connect(address).await
@@ -70,7 +70,7 @@ pub fn call_headers(stream: u32, path: &str, is_whole: bool) -> Vec<u8> {
     [&length[1..], &[1, flags], &stream.to_be_bytes(), &block].concat()
 }
 
-/// Asks for a path so many times over one connection of HTTP/2, whose replies may send nothing: their window is 0.
+/// Requests a path so many times over one connection of HTTP/2, whose replies may send nothing: their window is 0.
 ///
 /// # Panics
 /// If the path is long.
@@ -202,7 +202,7 @@ impl Flood {
         })
     }
 
-    /// As [`Flood::unread`], with TLS by a certificate of this authority.
+    /// Does the same as [`Flood::unread`], with TLS by a certificate of this authority.
     ///
     /// # Panics
     /// If TLS cannot be set up.
@@ -233,7 +233,7 @@ impl Flood {
         })
     }
 
-    /// How often clients have sent what they have to send.
+    /// Number of times that clients have sent all their bytes.
     #[must_use]
     pub fn rounds(&self) -> u64 {
         self.rounds.load(Ordering::Relaxed)

@@ -94,7 +94,7 @@ impl Herd {
         tokio::time::timeout(Duration::from_secs(60), flows).await.expect("something is acknowledged");
     }
 
-    /// Tells all to stop.
+    /// Stops all producers.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }

@@ -1,5 +1,5 @@
-//! What each daemon of a cluster must hold, given what was acknowledged to the producers of [`crate::lanes`], and a
-//! daemon that is alone and learns the same.
+//! The data that each daemon of a cluster must hold, given the numbers acknowledged to the producers of
+//! [`crate::lanes`], and a daemon that is alone and learns the same.
 //!
 //! Invariant: computed only from the feed and the producers' sequence numbers. Producers are paused meanwhile.
 
@@ -22,7 +22,7 @@ use crate::{
     stream::{RawStream, hello},
 };
 
-/// Whatever is asked is answered by then.
+/// Every request is answered by then.
 const WITHIN: Duration = Duration::from_secs(300);
 
 /// A time after all that producers with these marks have sent.
@@ -94,13 +94,13 @@ async fn rows(client: &Client, map: &str, state: &str, from: i64, until: i64) ->
             }
             Ok(found)
         }
-        // Nothing of it was ever acknowledged.
+        // Nothing of the map was ever acknowledged.
         Err(Error::Server(ServerError { code: Code::NotFound, .. })) => Ok(found),
         Err(error) => Err(error),
     }
 }
 
-/// How what was found differs from what is wanted.
+/// The difference between the found and the wanted observations.
 #[must_use]
 pub fn difference(state: &str, wanted: &[(i64, f64)], found: &[(i64, f64)]) -> Option<String> {
     if wanted == found {
@@ -174,10 +174,10 @@ pub async fn update(client: &Client, map: &str, until_nanos: i64) -> Result<(), 
     }
 }
 
-/// Sends to a daemon that is alone what it lacks of what was acknowledged.
+/// Sends to a daemon that is alone the acknowledged observations that it lacks.
 ///
 /// # Errors
-/// It does not take it.
+/// The daemon does not take them.
 pub async fn follow_alone(alone: &Client, map: &str, feed: &Feed, marks: &[Mark]) -> Result<(), String> {
     if alone.map(map).await.is_err() {
         let created = alone.create_map(NewMap { name: map.to_owned(), ..NewMap::default() }).await;

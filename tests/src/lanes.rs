@@ -1,7 +1,7 @@
 //! Producers of a cluster that stream for ever, each a part of a feed, and go to the next daemon when theirs fails.
 //!
-//! Invariant: a producer records as acknowledged only what a daemon has acknowledged to it. What a cluster has
-//! forgotten is reported before anything is sent again.
+//! Invariant: a producer records as acknowledged only observations that a daemon has acknowledged to it. Observations
+//! that a cluster has forgotten are reported before anything is sent again.
 
 use std::{
     sync::{
@@ -50,12 +50,12 @@ pub fn now_secs() -> f64 {
     clock::now_nanos() as f64 / 1e9
 }
 
-/// What all producers share.
+/// The data that all producers share.
 #[derive(Debug)]
 pub struct Lanes {
     /// Name of the map.
     pub map: String,
-    /// Where the observations come from.
+    /// The source of the observations.
     pub feed: Feed,
     marks: Mutex<Vec<Mark>>,
     is_paused: AtomicBool,
@@ -64,7 +64,7 @@ pub struct Lanes {
 }
 
 impl Lanes {
-    /// Producers with these marks, which begin paused. What happens to them goes to `events`.
+    /// Producers with these marks, which begin paused. Their events are sent to `events`.
     #[must_use]
     pub fn new(map: &str, feed: Feed, marks: Vec<Mark>, events: UnboundedSender<Value>) -> Arc<Self> {
         let idle = Mutex::new(vec![false; marks.len()]);
@@ -122,9 +122,9 @@ impl Lanes {
 enum Leave {
     /// Everything is acknowledged, and producers are paused.
     Paused,
-    /// The daemon did not do what it was asked.
+    /// The daemon did not do the request.
     Failed(ProducerError),
-    /// It did not answer in time.
+    /// The daemon did not answer in time.
     Silent,
     /// The cluster lacks what it has acknowledged, and may still find it.
     Forgotten,
@@ -257,7 +257,7 @@ impl Lane {
     /// Sends some observations, and waits until they are durable.
     async fn batch(&mut self, producer: &mut Producer) -> Result<(), ProducerError> {
         let next = producer.last_sequence() + 1;
-        // What was sent once is sent again first, even when producers are paused.
+        // Observations that were sent once are sent again first, even when producers are paused.
         let again = self.mark().sent.saturating_sub(next - 1);
         let count = match self.lanes.is_paused.load(Ordering::Relaxed) {
             true => again.min(1000),

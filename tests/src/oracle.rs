@@ -37,7 +37,7 @@ pub enum Violation {
         /// Last sequence number that it holds.
         durable: u64,
     },
-    /// It holds observations that were never sent.
+    /// The daemon holds observations that were never sent.
     Foreign {
         /// The producer.
         producer: String,
@@ -122,7 +122,7 @@ pub struct Oracle {
     pub map: String,
     /// The feed of the map.
     pub feed: Feed,
-    /// By producer.
+    /// The marks by producer.
     pub marks: Vec<Mark>,
 }
 
@@ -176,7 +176,7 @@ impl Oracle {
         let began = Instant::now();
         let opened = loop {
             let opened = RawStream::open(&daemon.grpc, hello(&name, &self.map)).await;
-            // After a full disk nobody is welcome until all that was under way is answered.
+            // After a full disk no stream is welcome until all that was under way is answered.
             let is_full = |ended: &Ended| ended.status.as_ref().is_some_and(|it| it.code() == Code::ResourceExhausted);
             if !opened.as_ref().is_err_and(is_full) || began.elapsed() > WELCOME_WITHIN {
                 break opened;
@@ -277,7 +277,7 @@ pub async fn settled(client: &Client) {
     }
 }
 
-/// As [`settled`], for tests without a runtime.
+/// Does the same as [`settled`], for tests without a runtime.
 ///
 /// # Panics
 /// If the daemon does not answer.

@@ -1,4 +1,4 @@
-//! Calls of any method by its path, with a message of bytes, and what the descriptors say of the methods.
+//! Calls of any method by its path, with a message of bytes, and the descriptions of the methods in the descriptors.
 //!
 //! Invariant: nothing here knows a method by name, so that a new one is called as well.
 
@@ -15,7 +15,7 @@ use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery};
 /// A method of `tidemap.v1`.
 #[derive(Clone, Debug)]
 pub struct Method {
-    /// Its path, `/package.Service/Method`.
+    /// Path of the method, `/package.Service/Method`.
     pub path: String,
     /// The method without package and service.
     pub name: String,
@@ -62,7 +62,7 @@ pub fn methods() -> Vec<Method> {
 }
 
 impl Method {
-    /// Whether its requests name a map.
+    /// Whether the requests of the method name a map.
     #[must_use]
     pub fn names_a_map(&self) -> bool {
         !self.map_field.is_empty()
@@ -86,7 +86,7 @@ impl Method {
     }
 }
 
-/// The status of a call with one message, or that of a stream at its first message. A stream that says nothing within
+/// The status of a call with one message, or that of a stream at its first message. A stream that sends nothing within
 /// the time is well.
 pub async fn call(connection: Connection, path: &str, message: Bytes, within: Duration) -> Code {
     let mut grpc = Grpc::new(connection);

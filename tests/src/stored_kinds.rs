@@ -1,5 +1,5 @@
-//! A map with what is stored beside plain values: labels, rows of changes, traversals, sightings, reports of tasks,
-//! tasks, and kept plans. Each kind has a sender of its own.
+//! A map with all data that is stored beside plain values: labels, rows of changes, traversals, sightings, reports of
+//! tasks, tasks, and kept plans. Each kind has a sender of its own.
 //!
 //! Invariant: item n of a kind is a function of n alone. So a second daemon that gets the same items, and is never
 //! killed, must answer the same.
@@ -37,7 +37,7 @@ const TOPOLOGY: &str = "node Dock\nnode Hall\nnode Lab\nlink Dock Hall 20\nlink 
 const LANDMARKS: &str = "place,name,u_px,v_px,descriptor,along_m\nHall,window,100,50,00000000000000ff,\n\
                          Hall,lamp,300,40,0000000000ff0000,\nHall/Lab,sign,40,70,0f0f0f0f0f0f0f0f,1.5\n";
 
-/// What is sent.
+/// An item to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StoredItem {
     Label,
@@ -182,7 +182,7 @@ async fn plan(client: &Client, n: u64) -> Result<(String, String), Error> {
 /// Plans, and what was acknowledged of them.
 #[derive(Clone, Debug, Default)]
 struct Plans {
-    /// How many were made.
+    /// Number of items that were made.
     made: u64,
     /// The newest of each day.
     kept: BTreeMap<String, String>,
@@ -207,7 +207,7 @@ pub struct Senders {
     plans: JoinHandle<Plans>,
 }
 
-/// What was sent of each kind.
+/// The items that were sent of each kind.
 #[derive(Clone, Debug)]
 pub struct StoredKinds {
     marks: [Mark; ITEMS.len()],
@@ -255,7 +255,8 @@ impl StoredKinds {
         self.marks.iter().map(|mark| mark.acknowledged).chain([self.plans.made]).collect()
     }
 
-    /// Compares a daemon with what it acknowledged, and with a daemon that was never killed, which gets the same items.
+    /// Compares a daemon with the items that it acknowledged, and with a daemon that was never killed, which gets the
+    /// same items.
     ///
     /// # Errors
     /// The first violation.

@@ -12,7 +12,7 @@ use crate::binaries;
 /// A file of tokens.
 #[derive(Clone, Debug)]
 pub struct Tokens {
-    /// Where the file is.
+    /// Path of the file.
     pub path: PathBuf,
 }
 

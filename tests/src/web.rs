@@ -1,6 +1,6 @@
 //! The HTTP port as scripts and browsers use it.
 //!
-//! Invariant: one connection a request, and nothing is sent that the test did not say, but for `Host`.
+//! Invariant: one connection a request, and nothing is sent that the test did not give, but for `Host`.
 
 use std::{
     collections::BTreeMap,
@@ -78,7 +78,7 @@ pub fn request(address: &str, method: &str, path: &str, headers: &[(&str, &str)]
 /// Calls an RPC as JSON: `SERVICE/METHOD`.
 ///
 /// # Panics
-/// As [`request`].
+/// If there is no answer of HTTP, as for [`request`].
 #[must_use]
 pub fn call(address: &str, method: &str, headers: &[(&str, &str)], body: &Value) -> Answer {
     let mut all = vec![("content-type", "application/json")];

@@ -17,7 +17,7 @@ const OF_THE_MACHINE: [&str; 27] = [
     "tanh",
 ];
 
-/// What a kernel must not name: pulp gives the results of these for each instruction set as it likes.
+/// Names that a kernel must not use: pulp gives the results of these for each instruction set as it likes.
 const OF_THE_VECTOR: [(&str, &str); 3] = [
     ("Arch::new", "the instruction set is chosen in server/model/src/instruction_set.rs"),
     ("mul_add_e_", "it is fused on some instruction sets only: say mul_add_f64s"),

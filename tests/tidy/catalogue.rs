@@ -1,4 +1,5 @@
-//! One catalogue of models: what a kind is, is written down in few places, so that a kind is added in few places.
+//! One catalogue of models: the definition of a kind is written down in few places, so that a kind is added in few
+//! places.
 //!
 //! Invariant: counts code only. The files that implement a kind, in `server/model/src/models/`, are not counted.
 

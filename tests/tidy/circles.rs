@@ -100,11 +100,11 @@ fn paths(code: &str) -> Vec<Names> {
 /// The modules of a crate and what they import.
 #[derive(Default)]
 struct Crate {
-    /// By the module's path: the file.
+    /// The files by the path of the module.
     modules: BTreeMap<Names, String>,
-    /// What a module re-exports: by the name there, the path of the origin.
+    /// The names that a module re-exports: by the name there, the path of the origin.
     public: BTreeMap<Names, BTreeMap<String, Names>>,
-    /// What a module uses, as paths from the crate's root.
+    /// The names that a module uses, as paths from the crate's root.
     used: BTreeMap<Names, Vec<Names>>,
 }
 
@@ -126,7 +126,7 @@ impl Crate {
                 "lib" | "main" => Names::new(),
                 _ => module.split('/').map(str::to_owned).collect(),
             };
-            // A program beside its library says no more than how it starts.
+            // A program beside its library contains no more than its start.
             if all.modules.contains_key(&names) {
                 continue;
             }

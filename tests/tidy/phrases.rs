@@ -4,7 +4,7 @@
 
 use super::{files, hold, read};
 
-/// Words that say nothing as the name of a value. Name what the value is: a reply, a tile, a `state_kind`, a `max`.
+/// Words without meaning as the name of a value. Name what the value is: a reply, a tile, a `state_kind`, a `max`.
 const EMPTY_NAMES: [&str; 3] = ["told", "of", "most"];
 
 /// Words for which the glossary has another: a model is trained on readings, and trained again.
@@ -16,9 +16,9 @@ const GIVEN_NAMES: [(&str, &str); 2] = [("", "shrink_to_fit"), ("client/python/"
 /// A line of a file, split into its code and the text of its comment.
 #[derive(Debug, Default, PartialEq)]
 struct Line {
-    /// Without comments and without the contents of strings.
+    /// The code without comments and without the contents of strings.
     code: String,
-    /// Without the slashes in front; `None`: the line has no comment, or code in front of it.
+    /// The comment without the slashes in front; `None`: the line has no comment, or code in front of it.
     comment: Option<String>,
 }
 
@@ -106,7 +106,7 @@ fn foreign_names(code: &str) -> Vec<&str> {
     names.filter(is_foreign).collect()
 }
 
-/// Whether a comment says nothing by itself: "The same …" as what? "Its name." of what, and which names are there?
+/// Whether a comment has no meaning by itself: "The same …" as what? "Its name." of what, and which names are there?
 fn is_empty_comment(comment: &[String]) -> bool {
     let says_only_its = |text: &str| {
         let words: Vec<&str> = text.split(' ').collect();

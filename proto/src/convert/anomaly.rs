@@ -56,7 +56,7 @@ pub struct WatchQuestion {
     pub location: Option<StateName>,
     /// A region whose cells are watched.
     pub region: Option<CellBox>,
-    /// How certain it has to be that an observation is unexpected.
+    /// The confidence from which an observation counts as unexpected.
     pub confidence: Confidence,
     /// The model that judges.
     pub selector: ModelSelector,
@@ -79,12 +79,12 @@ pub fn watch_from_wire(request: v1::WatchAnomaliesRequest) -> Result<WatchQuesti
     Ok(WatchQuestion { states, location, region, confidence, selector })
 }
 
-/// Runs of one reply, if the request does not say how many.
+/// Default maximum number of runs in a reply.
 const SURPRISES: u32 = 100;
 /// Maximum number of runs of one reply.
 const SURPRISES_MAX: u32 = 10_000;
 
-/// Names of the states of a request for what was unusual, and what is asked of them. Without names: all states.
+/// Names of the states of a request that lists surprises, and its other parameters. Without names: all states.
 ///
 /// # Errors
 /// The invalid field.
@@ -141,7 +141,7 @@ pub fn surprise_from_wire(wire: v1::Surprise) -> Option<(String, SurpriseRun)> {
     let v1::Surprise { state, first_time, last_time, observations, above, value, probability, bits } = wire;
     let (first_nanos, last_nanos) = (instant(first_time)?, instant(last_time)?);
     let is_whole = first_nanos <= last_nanos && (0.0..=1.0).contains(&probability) && value.is_finite() && bits >= 0.0;
-    // A reply does not say whether a probability is that of the value, and only the daemon needs it.
+    // A reply does not state whether a probability is that of the value, and only the daemon needs it.
     let observed_probability = probability;
     let run = SurpriseRun {
         first_nanos,

@@ -77,7 +77,7 @@ pub fn cell_from_wire(field: &str, name: &str) -> Result<Option<CellIndex>, Inva
     CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error))
 }
 
-/// A request for a prediction of the grid of a map. `estimate_only`: only the header is asked for.
+/// A request for a prediction of the grid of a map. `estimate_only`: it requests only the header.
 #[must_use]
 pub fn question_to_wire(map: &str, question: &GridQuestion, estimate_only: bool) -> v1::PredictGridRequest {
     let GridQuestion { utc_nanos, selector, region, project, output } = *question;
@@ -248,7 +248,7 @@ pub fn cell_description_to_wire(
     }
 }
 
-/// A cell whose change alarm rings.
+/// A cell whose change alarm is on.
 #[must_use]
 pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1::CellAlarm {
     let last = description.persistence.last();

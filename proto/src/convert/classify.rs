@@ -1,6 +1,6 @@
-//! Classifications: evidence in, and what is known of each label out.
+//! Classifications: evidence as input, and the probability of each label as output.
 //!
-//! Invariant: each label is named once; whether the map has the state and its labels is checked by who answers.
+//! Invariant: each label is named once; the handler of the request checks whether the map has the state and its labels.
 
 use tidemap_map::name::StateName;
 use tidemap_model::selector::ModelSelector;
@@ -8,7 +8,7 @@ use tidemap_model::selector::ModelSelector;
 use super::{InvalidField, query::selector_from_wire, time::nanos_from_timestamp};
 use crate::v1;
 
-/// What is learned of a classification.
+/// Part of a classification that is learned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Learning {
     /// Nothing.
@@ -25,15 +25,15 @@ pub enum Learning {
 pub struct ClassifyQuestion {
     /// The categorical state.
     pub state: StateName,
-    /// When it was observed, nanoseconds UTC; `None`: now.
+    /// Time of the observation, nanoseconds UTC; `None`: now.
     pub utc_nanos: Option<i64>,
     /// Labels with the likelihood of what was observed.
     pub likelihoods: Vec<(String, f64)>,
-    /// Where it was observed.
+    /// Place of the observation.
     pub place: Option<StateName>,
     /// The model of the temporal prior, which needs no training.
     pub selector: ModelSelector,
-    /// What is learned.
+    /// Part of the classification that is learned.
     pub learning: Learning,
 }
 

@@ -9,7 +9,7 @@ use crate::v1::{ObservationColumns, StateKind};
 /// Unpacked columns of observations; all have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DecodedColumns {
-    /// Time in nanoseconds UTC; negative if the sender said so, or if a delta in its unit exceeds i64.
+    /// Time in nanoseconds UTC; negative if the sender sent it so, or if a delta in its unit exceeds i64.
     pub times_nanos: Vec<i64>,
     /// Index into the stream's table of names.
     pub state_indices: Vec<u32>,
@@ -46,7 +46,8 @@ impl PackedColumns {
         std::mem::take(&mut self.0.new_states)
     }
 
-    /// As [`PackedColumns::take_names`], each with whether it is declared as the name of a label.
+    /// Does the same as [`PackedColumns::take_names`], and returns with each name whether it is declared as the name of
+    /// a label.
     #[must_use]
     pub fn take_named_kinds(&mut self) -> Vec<(String, bool)> {
         let kinds = std::mem::take(&mut self.0.new_kinds);
@@ -142,7 +143,7 @@ pub fn encode(
     let mut unit = 0u64;
     for delta in deltas() {
         let delta = delta.unsigned_abs();
-        // One division per observation once the unit has settled.
+        // There is one division per observation once the unit has settled.
         if unit == 0 || delta % unit != 0 {
             unit = greatest_common_divisor(unit, delta);
         }

@@ -1,6 +1,6 @@
 //! Copies of maps as daemons send them to each other.
 //!
-//! Invariant: a part whose checksum does not match is refused. What its name may be, the store decides.
+//! Invariant: a part whose checksum does not match is refused. The store decides which names are valid.
 
 use crate::v1;
 
@@ -13,11 +13,11 @@ pub struct FilePart {
     pub offset: u64,
     /// The bytes.
     pub bytes: Vec<u8>,
-    /// Whether the file ends with them.
+    /// Whether the file ends with these bytes.
     pub is_last: bool,
 }
 
-/// What a message of a copy says.
+/// The content of a message of a copy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CopyMessage {
     /// Bytes of a file.
@@ -41,10 +41,10 @@ pub fn end_to_wire(files: u64, bytes: u64) -> v1::FetchMapResponse {
     v1::FetchMapResponse { item: Some(v1::fetch_map_response::Item::End(v1::MapCopyEnd { files, bytes })) }
 }
 
-/// What a message says.
+/// Reads the content of a message of a copy.
 ///
 /// # Errors
-/// What is wrong with it.
+/// A description of what is wrong with the message.
 pub fn message_from_wire(message: v1::FetchMapResponse) -> Result<CopyMessage, &'static str> {
     match message.item {
         Some(v1::fetch_map_response::Item::Part(part)) => {

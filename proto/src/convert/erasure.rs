@@ -1,16 +1,16 @@
-//! What a request wants to erase.
+//! Requests to erase observations.
 //!
-//! Invariant: what is named fits together; whether the map has it is checked by who erases.
+//! Invariant: the named objects fit together; the erasure itself checks whether the map has them.
 
 use tidemap_map::erasure::{ErasureRequest, RequestedPart};
 
 use super::{InvalidField, cells::cell_from_wire, time::nanos_from_timestamp};
 use crate::v1;
 
-/// What a request wants to erase.
+/// The observations that a request erases.
 ///
 /// # Errors
-/// The invalid field: nothing is named, or what is named does not go together, or it is a cell of a grid.
+/// The invalid field: the request names nothing, or its names do not go together, or it names a cell of a grid.
 pub fn erasure_from_wire(request: &v1::EraseRequest) -> Result<ErasureRequest, InvalidField> {
     let v1::EraseRequest { state, producer, label, from_time, to_time, forget_sequence: forgets, .. } = request;
     let wrong = |field: &str, problem: &str| Err(InvalidField::new(field, problem));

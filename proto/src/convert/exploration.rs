@@ -91,13 +91,13 @@ pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result
 /// A tour of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TourRequest {
-    /// Where it starts: x, y in metres; `None`: at the charger of the map.
+    /// Start of the tour: x, y in metres; `None`: at the charger of the map.
     start_m: Option<[f64; 2]>,
     question: TourQuestion,
 }
 
 impl TourRequest {
-    /// The question of the tour, which starts where it was asked for, or else at the charger; `None`: there is neither.
+    /// The question of the tour, which starts at the requested place, or else at the charger; `None`: there is neither.
     #[must_use]
     pub fn starting_at(self, charger_m: Option<[f64; 2]>) -> Option<TourQuestion> {
         let start_m = self.start_m.or(charger_m)?;
@@ -210,7 +210,7 @@ pub fn slot_from_wire(slot: Option<prost_types::Duration>) -> Result<i64, Invali
     slot.map_or(Ok(SLOT_NANOS), |slot| nanos_from_duration("slot", slot))
 }
 
-/// How much is explored, by default a quarter of the slots.
+/// Reads the budget of slots to explore, by default a quarter of the slots.
 #[must_use]
 pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget {
     match budget {
@@ -238,7 +238,7 @@ pub fn allowance_to_wire(budget: Budget) -> v1::plan_slot_request::Allowance {
     }
 }
 
-/// How much is explored, for the wire.
+/// The budget of slots to explore, for the wire.
 #[must_use]
 pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
     match budget {
@@ -247,7 +247,7 @@ pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
     }
 }
 
-/// How slots are selected, for the wire.
+/// The strategy by which slots are selected, for the wire.
 #[must_use]
 pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     match strategy {
@@ -258,7 +258,7 @@ pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     }
 }
 
-/// How slots are selected.
+/// Reads the strategy by which slots are selected.
 ///
 /// # Errors
 /// The strategy is unknown.
@@ -272,7 +272,7 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
     }
 }
 
-/// A measure of the worth of a look for the wire.
+/// A measure of the worth of an observation for the wire.
 #[must_use]
 pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
     match measure {
@@ -282,10 +282,10 @@ pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
     }
 }
 
-/// How the worth of a look is measured. `is_counted`: whether looks at what is asked for are counted.
+/// Reads the measure of the worth of an observation. `is_counted`: whether observations of the targets are counted.
 ///
 /// # Errors
-/// The measure is unknown, or needs looks that are not counted.
+/// The measure is unknown, or needs observations that are not counted.
 pub fn measure_from_wire(field: &str, measure: i32, is_counted: bool) -> Result<InformationMeasure, InvalidField> {
     let unknown = |_| InvalidField::new(field, format!("{measure} is not known"));
     match v1::InformationMeasure::try_from(measure).map_err(unknown)? {

@@ -1,7 +1,8 @@
-//! What a fork of a map's log holds, for the wire: observations as their producers sent them, and states that it added.
+//! The contents of a fork of a map's log, for the wire: observations as their producers sent them, and states that it
+//! added.
 //!
-//! Invariant: every sequence number of an event has one observation, so that whoever sends them again sends them under
-//! their numbers. What cannot be sent again says why.
+//! Invariant: every sequence number of an event has one observation, so that a client that sends them again sends them
+//! under their numbers. An observation that cannot be sent again contains the reason.
 
 use tidemap_map::{
     event::{Envelope, NewState, Observations, StateShape},
@@ -12,12 +13,12 @@ use tidemap_map::{
 use super::{reporting::reporting_to_wire, state_sensor::state_sensor_to_wire, vectors::shape_to_wire};
 use crate::v1::{self, forked_observation::Content};
 
-/// What observations name: a state, or all axes of a vector or labels of a categorical state.
+/// The object that observations name: a state, or all axes of a vector or labels of a categorical state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ForkedState {
     /// The name that observations have.
     pub name: StateName,
-    /// What they are.
+    /// Shape of the observations.
     pub shape: StateShape,
     /// Names of the states of its labels; only of a categorical state.
     pub labels: Vec<StateName>,
@@ -48,7 +49,7 @@ pub fn added_state_to_wire(map: &str, new: &NewState) -> v1::AddStateRequest {
     }
 }
 
-/// What an observation said whose states have these values.
+/// The content of an observation whose states have these values.
 fn content(state: &ForkedState, values: &[f64]) -> Result<Content, &'static str> {
     match (state.shape, values) {
         (StateShape::Scalar(_), &[value]) => Ok(Content::Value(value)),

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::v1;
 
-/// How far the sum of the shares of an observation may be from 1.
+/// Maximum difference between 1 and the sum of the shares of an observation.
 pub const SHARES_SUM_TOLERANCE: f64 = 1e-6;
 
 /// The shares of an observation, with its index.
@@ -67,7 +67,7 @@ pub fn shares(
     Ok(counted().map_while(own).collect())
 }
 
-/// What is wrong with the shares of an observation; `None`: nothing.
+/// Describes what is wrong with the shares of an observation; `None`: nothing.
 #[must_use]
 pub fn invalid_shares(shares: &[f64]) -> Option<String> {
     if let Some(wrong) = shares.iter().find(|share| !(0.0..=1.0).contains(*share)) {

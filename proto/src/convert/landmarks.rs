@@ -39,7 +39,7 @@ pub fn place_from_wire(field: &str, wire: Option<&v1::LandmarkPlace>) -> Result<
 /// A whole place.
 ///
 /// # Errors
-/// As [`place_from_wire`], or it is a part.
+/// The errors of [`place_from_wire`], or the place is a part of an edge.
 pub fn whole_place_from_wire(field: &str, wire: Option<&v1::LandmarkPlace>) -> Result<PlaceName, InvalidField> {
     match place_from_wire(field, wire)? {
         (place, PartOfEdge::WHOLE) => Ok(place),
@@ -132,12 +132,12 @@ pub fn addition_from_wire(request: &v1::AddLandmarksRequest) -> Result<LandmarkE
     Ok(LandmarkEdit::Add { place, descriptor_kind: descriptor_kind.clone(), landmarks, velocity_profile })
 }
 
-/// Which landmarks to remove.
+/// The landmarks to remove.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LandmarkRemoval {
-    /// Those of these names at a place.
+    /// The landmarks with these names at a place.
     Named(PlaceName, Vec<StateName>),
-    /// Those that are hardly ever seen.
+    /// The landmarks that are hardly ever seen.
     SeldomSeen {
         /// The place; `None`: everywhere.
         place: Option<PlaceName>,
@@ -151,7 +151,7 @@ pub enum LandmarkRemoval {
 /// Default number of sightings from which on a landmark counts as seldom seen.
 const MIN_SIGHTINGS: u64 = 10;
 
-/// Which landmarks to remove.
+/// The landmarks to remove.
 ///
 /// # Errors
 /// An invalid place, name or share, or neither names nor a share.
@@ -180,7 +180,7 @@ pub fn removal_from_wire(request: &v1::RemoveLandmarksRequest) -> Result<Landmar
     }
 }
 
-/// Where a robot may be that sees these features.
+/// The features that a robot sees, and the nodes at which it may be.
 #[derive(Clone, Debug)]
 pub struct LocaliseQuestion {
     /// When the image was taken, nanoseconds UTC.
@@ -198,7 +198,7 @@ const FEATURES_MIN: usize = 2;
 /// Default number of landmarks of each node to compare.
 const COMPARED: usize = 100;
 
-/// Where a robot may be.
+/// Reads the question where a robot may be.
 ///
 /// # Errors
 /// No time, too few or invalid features, or an invalid name.
@@ -229,7 +229,7 @@ pub fn localise_from_wire(request: &v1::LocaliseRequest) -> Result<LocaliseQuest
     })
 }
 
-/// How an image agrees with a node, for the wire. `landmarks`: the number that were compared.
+/// How well an image agrees with a node, for the wire. `landmarks`: the number of landmarks that were compared.
 #[must_use]
 pub fn node_match_to_wire(node: String, landmarks: usize, found: &NodeMatch) -> v1::NodeMatch {
     v1::NodeMatch {

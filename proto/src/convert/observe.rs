@@ -29,17 +29,17 @@ pub use readings::{learned_readings, readings_from_wire};
 /// The beginning of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamStart {
-    /// Who sends.
+    /// The producer.
     pub key: ProducerKey,
     /// 0: a new incarnation is requested.
     pub incarnation: u64,
-    /// Whether the client answers probes.
+    /// Whether the client replies to probes.
     pub answers_probes: bool,
     /// Whether the stream announces data time.
     pub is_nightly: bool,
     /// The announced sensor, which the map's writer checks.
     pub sensor: Option<ProducerSensor>,
-    /// What is said about how its states are reported.
+    /// The stated reporting of the stream's states.
     pub reporting: Option<StatedReporting>,
 }
 
@@ -54,7 +54,7 @@ pub fn hello_of(first: v1::ObserveRequest) -> Result<v1::Hello, InvalidField> {
     }
 }
 
-/// How a stream begins.
+/// Reads the beginning of a stream.
 ///
 /// # Errors
 /// An invalid name of the producer, or label; or states that cannot be reported like that.
@@ -73,17 +73,17 @@ pub fn hello_from_wire(hello: &v1::Hello) -> Result<StreamStart, InvalidField> {
     })
 }
 
-/// Who sends the readings of a request.
+/// Reads the producer of the readings of a request.
 ///
 /// # Errors
-/// As [`hello_from_wire`].
+/// The errors of [`hello_from_wire`].
 pub fn start_of_request(request: &v1::ReportRequest) -> Result<StreamStart, InvalidField> {
     let start = StreamStart::of(("producer", &request.producer), ("label", &request.label))?;
     let reporting = request.reporting.as_ref().map(|wire| reporting_from_wire("reporting", wire)).transpose()?;
     Ok(StreamStart { reporting, ..start })
 }
 
-/// Who reports a run of a task.
+/// Reads the producer that reports a run of a task.
 ///
 /// # Errors
 /// An invalid name of the producer, or label.
@@ -91,7 +91,7 @@ pub fn start_of_run(request: &v1::ReportTaskRequest) -> Result<StreamStart, Inva
     StreamStart::of(("producer", &request.producer), ("label", &request.label))
 }
 
-/// Who sends what is learned of a classification.
+/// Returns the producer of what is learned of a classification.
 ///
 /// # Errors
 /// An invalid name of the producer, or label.
@@ -121,7 +121,7 @@ pub enum StreamMessage {
     Scans(ScanMessage),
     /// Reports of robots.
     Reports(ReportMessage),
-    /// The answer to a probe.
+    /// The reply to a probe.
     Alive,
 }
 

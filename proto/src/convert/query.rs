@@ -25,7 +25,7 @@ pub use flow::{AvoidedPeople, FlowQuestion, FlowSource, avoided_from_wire, flow_
 pub use positions::{PlacesQuestion, PositionRegion, PositionsQuestion, places_from_wire, positions_from_wire};
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};
 
-/// The probability of intervals; `None` for 0: no intervals are asked for.
+/// The probability of intervals; `None` for 0: no intervals are requested.
 fn interval_level_from_wire(level: f64) -> Result<Option<f64>, InvalidField> {
     if (0.0..1.0).contains(&level) {
         return Ok(Some(level).filter(|&level| level > 0.0));
@@ -34,10 +34,10 @@ fn interval_level_from_wire(level: f64) -> Result<Option<f64>, InvalidField> {
     Err(InvalidField::new("interval_level", text))
 }
 
-/// The model of a request that plans: if it names none, `auto` with what the newest readings say.
+/// The model of a request that plans: if it names none, `auto` with belief, which uses the newest readings.
 ///
 /// # Errors
-/// As of [`selector_from_wire`].
+/// The errors of [`selector_from_wire`].
 pub fn planning_selector_from_wire(
     field: &str,
     wire: Option<v1::ModelSelector>,

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::v1;
 
-/// What is said about how a state is reported.
+/// Reads the stated reporting of a state.
 ///
 /// # Errors
 /// The invalid field.
@@ -34,7 +34,7 @@ pub fn reporting_from_wire(field: &str, wire: &v1::StateReporting) -> Result<Sta
     stated.map_err(|error| InvalidField::new(field, error))
 }
 
-/// What is said about how a state is reported, for the wire.
+/// The stated reporting of a state, for the wire.
 #[must_use]
 pub fn stated_reporting_to_wire(stated: StatedReporting) -> v1::StateReporting {
     let kind = match stated.kind() {
@@ -46,7 +46,7 @@ pub fn stated_reporting_to_wire(stated: StatedReporting) -> v1::StateReporting {
     v1::StateReporting { kind: kind.into(), hold_max: stated.max_secs().map(span), step: stated.step_secs().map(span) }
 }
 
-/// How a state is reported, for the wire; `None` of samples.
+/// How a state is reported, for the wire; `None` for samples.
 #[must_use]
 pub fn reporting_to_wire(reporting: Reporting) -> Option<v1::StateReporting> {
     reporting.may_end().then(|| stated_reporting_to_wire(reporting.into()))

@@ -42,7 +42,7 @@ pub struct ReportMessage {
 /// A report as sent, checked as far as this is possible without the map.
 #[derive(Clone, Debug)]
 pub struct SentReport {
-    /// When it begins, nanoseconds UTC.
+    /// Time at which the report begins, nanoseconds UTC.
     pub time_nanos: i64,
     /// The report, or why it is refused: the reason for programs, and the reason in words.
     pub checked: Result<Report, (RefusalReason, String)>,
@@ -116,7 +116,7 @@ impl ReportMessage {
         let sightings = self.reports.iter().filter(|report| report.is_sighting).count();
         let others = self.reports.len() - sightings;
         let what = "observations of one message, traversals and runs of tasks counted as two each";
-        // One always fits.
+        // One report always fits.
         let (got, max) = (others.saturating_mul(2), observations.max(2));
         OverLimit::check(what, got, max, "setting max_batch_observations")?;
         OverLimit::check("sightings of one message", sightings, SIGHTINGS_MAX, "the protocol")

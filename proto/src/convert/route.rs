@@ -186,7 +186,7 @@ pub fn routes_to_wire(
     }
 }
 
-/// What is predicted of an edge, as received.
+/// The prediction of an edge, as received.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgePrediction {
     /// The edge.
@@ -201,7 +201,7 @@ pub struct EdgePrediction {
     pub reports: u64,
 }
 
-/// What is predicted of edges.
+/// The predictions of edges.
 ///
 /// # Errors
 /// An edge without a valid name.

@@ -78,7 +78,7 @@ impl From<TileError> for ScanRefusal {
     }
 }
 
-/// What a scan shows.
+/// The content of a scan.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ScanContent {
     /// Cells of tiles, within the extent of the grid. If the scan is refused, they must still be remembered: later

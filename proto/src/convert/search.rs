@@ -1,6 +1,6 @@
-//! Searches: what a request asks for, and plans for replies.
+//! Searches: the parameters of requests, and plans for replies.
 //!
-//! Invariant: an error names the field; what the planner itself checks is left to it.
+//! Invariant: an error names the field; the planner checks the rest itself.
 
 use tidemap_map::topology::Topology;
 use tidemap_model::selector::ModelSelector;
@@ -72,7 +72,7 @@ pub fn speed_from_wire(speed_m_per_s: f64) -> Result<f64, InvalidField> {
 
 /// Maximum number of states of a joint question.
 pub const JOINT_STATES_MAX: usize = 1_000;
-/// Default time to look ahead, nanoseconds.
+/// Default length of time that is searched, nanoseconds.
 const JOINT_WITHIN_NANOS: i64 = 7 * 86_400_000_000_000;
 /// Default interval between times, nanoseconds.
 const JOINT_STEP_NANOS: i64 = 600_000_000_000;
@@ -95,7 +95,7 @@ fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
 pub struct JointQuestion {
     /// Names of states and cells: 1 to [`JOINT_STATES_MAX`].
     pub states: Vec<String>,
-    /// The times to look at, nanoseconds UTC; at least one.
+    /// The times to search, nanoseconds UTC; at least one.
     pub times_nanos: Vec<i64>,
     /// The product of the probabilities has to be above this.
     pub threshold: f64,
@@ -147,7 +147,7 @@ pub fn presence_of_nodes(reply: v1::PredictPresenceResponse) -> impl Iterator<It
     reply.nodes.into_iter().zip(probabilities)
 }
 
-/// The kind of presence that is asked for; empty: the default kind.
+/// The requested kind of presence; empty: the default kind.
 ///
 /// # Errors
 /// It contains '/', which separates it from the node in the names of states.

@@ -18,7 +18,7 @@ use crate::v1::{self, landmark_place::Place};
 const SIGHTING_BYTES_EXTRA: usize = 64;
 const NAME_BYTES_EXTRA: usize = 6;
 
-/// How to find a valid name.
+/// Advice how to find a valid name.
 const WAY_OUT: &str = "LandmarkService has those there are, and can add more";
 
 /// A checked sighting. Whether place and landmarks exist is not checked.
@@ -119,23 +119,23 @@ pub(super) fn append_content(sighting: &v1::Sighting, bytes: &mut Vec<u8>) {
     }
 }
 
-/// A sighting as a robot or a file gives it: names and times are not checked. The daemon answers an invalid one with a
-/// refusal, so that its sequence number is used up.
+/// A sighting as a robot or a file reports it: names and times are not checked. The daemon replies to an invalid one
+/// with a refusal, so that its sequence number is used up.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SightingReport {
     /// `N` for a node, `A/B` or `A/B/ACTION` for an edge.
     pub place: String,
     /// Part of the edge, metres from its beginning; absent: the whole.
     pub from_m: Option<f64>,
-    /// Where the part ends, metres.
+    /// End of the part, metres.
     pub to_m: Option<f64>,
-    /// When the robot looked, nanoseconds UTC.
+    /// Time of the sighting, nanoseconds UTC.
     pub time_nanos: i64,
     /// Names of the landmarks that it saw.
     pub seen: Vec<String>,
     /// Names of those that it could not have seen.
     pub out_of_view: Vec<String>,
-    /// The traversal on which it looked, of the edge that is the place: learned with the sighting, or both refused.
+    /// The traversal during the sighting, of the edge that is the place: learned with the sighting, or both refused.
     pub traversal: Option<TraversalReport>,
 }
 

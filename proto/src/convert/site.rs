@@ -48,7 +48,7 @@ pub struct NamedLocation {
     pub name: StateName,
     /// Names of its states and cells.
     pub members: Vec<String>,
-    /// Where it is: x, y in metres.
+    /// Position of the location: x, y in metres.
     pub position_m: Option<[f64; 2]>,
 }
 

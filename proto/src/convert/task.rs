@@ -213,7 +213,7 @@ pub fn plan_from_wire(reply: &v1::GetPlanResponse) -> Result<(KeptPlan, Option<u
 pub struct PlanQuestion {
     /// The day; `None`: that of the time.
     pub day: Option<LocalDay>,
-    /// The moment of which the current step is asked for, nanoseconds UTC; `None`: now.
+    /// The moment whose current step is requested, nanoseconds UTC; `None`: now.
     pub time_nanos: Option<i64>,
 }
 
@@ -227,7 +227,7 @@ pub fn plan_question_from_wire(request: &v1::GetPlanRequest) -> Result<PlanQuest
     Ok(PlanQuestion { day, time_nanos })
 }
 
-/// A report of a task. `now_nanos`: when it ended if the request does not say.
+/// A report of a task. `now_nanos`: its end if the request has none.
 ///
 /// # Errors
 /// The invalid field.

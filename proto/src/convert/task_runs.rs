@@ -31,7 +31,7 @@ pub(super) fn append_content(wire: &v1::TaskRun, bytes: &mut Vec<u8>) {
     append([kind, node, reason], [*start_nanos, *end_nanos], [*success, *intervention], bytes);
 }
 
-/// As [`append_content`], for a run that did not come as one of a stream.
+/// Does the same as [`append_content`], for a run that did not come in a stream.
 pub(super) fn append_run(run: &TaskRun, bytes: &mut Vec<u8>) {
     let TaskRun { name: TaskName { kind, node }, start_nanos, end_nanos, success, intervention, reason } = run;
     let texts = [kind.as_str(), node.as_str(), reason];

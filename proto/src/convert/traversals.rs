@@ -14,7 +14,7 @@ use super::{
 };
 use crate::v1;
 
-/// How to find a valid edge.
+/// Advice how to find a valid edge.
 const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
 
 /// Bytes of a traversal's texts.
@@ -54,7 +54,7 @@ pub fn traversal_to_wire(traversal: &Traversal) -> v1::Traversal {
 /// Maximum number of bytes of a traversal on the wire in addition to its texts.
 const TRAVERSAL_BYTES_EXTRA: usize = 64;
 
-/// A report of a traversal as a robot or a file gives it: names and times are not checked. The daemon answers an
+/// A report of a traversal as a robot or a file sends it: names and times are not checked. The daemon replies to an
 /// invalid report with a refusal, so that its sequence number is used up.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TraversalReport {

@@ -62,13 +62,13 @@ pub fn shape_from_wire(
 pub struct DeclaredState {
     /// Name of the state.
     pub name: StateName,
-    /// What observations of it are.
+    /// Shape of the observations of the state.
     pub shape: StateShape,
     /// The states of its labels; only of a categorical state.
     pub labels: Vec<StateName>,
     /// The sensor that reads it; `None`: not stated.
     pub sensor: Option<StateSensor>,
-    /// How it is reported; `None`: not stated.
+    /// How the state is reported; `None`: not stated.
     pub reporting: Option<StatedReporting>,
 }
 
@@ -95,7 +95,7 @@ pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<Declare
         }
     };
     if let StateShape::Categorical(count) = &mut shape {
-        // At most 64.
+        // There are at most 64 labels.
         *count = labels.len() as u8;
     }
     let sensor = sensor.as_ref().map(state_sensor_from_wire).transpose()?;

@@ -79,7 +79,7 @@ proptest! {
             if let Some(byte) = bytes.get_mut(flip) {
                 *byte ^= value;
             }
-            // What cannot be decoded is refused wherever it arrives.
+            // A message that cannot be decoded is refused wherever it arrives.
             if let Some(map) = decoded(path, &bytes) {
                 let has_groups = bytes.iter().any(|byte| matches!(byte & 7, 3 | 4));
                 let found = map_of(path, &bytes);

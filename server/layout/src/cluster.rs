@@ -1,4 +1,4 @@
-//! What a map of a cluster has besides: records of its shared log, and files in its folder.
+//! The additional data of a map of a cluster: records of its shared log, and files in its folder.
 //!
 //! | where | what |
 //! | --- | --- |
@@ -6,7 +6,7 @@
 //! | folder of a map | [`FORKS_FOLDER`]: records that the shared log does not have, as segments `POSITION-N.log` |
 //! | folder of a map | [`SHARED_FILE`], of a map of a cluster only: its number there, as 16 hexadecimal digits |
 //!
-//! Invariant: as in [`super`].
+//! Invariant: the one of [`super`] holds here too.
 
 /// Name of the file that makes a map one of a cluster.
 pub const SHARED_FILE: &str = "SHARED";

@@ -5,7 +5,7 @@
 //! - times: the differences from one time to the next in units of `time_unit_nanos`, as zigzag varints;
 //! - values: by their encoding, [`VALUES_BITS`], [`VALUES_DOUBLES`] or [`VALUES_FLOATS`].
 //!
-//! Of scans, a column of numbers holds one varint per scan, or a single one where all are equal. A set of tiles is
+//! For scans, a column of numbers holds one varint per scan, or a single one where all are equal. A set of tiles is
 //! written as the tiles in which it differs from the set before: the number of ranges of tile ids, and per range how
 //! many ids lie between it and the range before, and its length less 1. The set before the first of a message is empty.
 //!
@@ -26,16 +26,16 @@ pub struct NewState {
     pub id: u32,
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability, 1 continuous, 2 count, 3 a vector of 2 coordinates, 4 one of 3, 5 an angle. Values of
-    /// all but probabilities are from -1e12 to 1e12. A vector is as many states of kind 1 as it has coordinates, called
-    /// NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos and NAME/sin. 6 is a
-    /// categorical state: a probability NAME/LABEL for each of `labels`, in their order.
+    /// Kind of the state: 0 probability, 1 continuous, 2 count, 3 a vector of 2 coordinates, 4 one of 3, 5 an angle.
+    /// Values of all but probabilities are from -1e12 to 1e12. A vector is as many states of kind 1 as it has
+    /// coordinates, called NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos
+    /// and NAME/sin. 6 is a categorical state: a probability NAME/LABEL for each of `labels`, in their order.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
     /// The sensor that was stated for it; only of kind 0.
     #[prost(message, optional, tag = "4")]
     pub sensor: Option<super::map::Sensor>,
-    /// How its rows come about; absent: each is a reading.
+    /// How the rows of the state come about; absent: each is a reading.
     #[prost(message, optional, tag = "5")]
     pub reporting: Option<super::rows::Reporting>,
     /// The labels, 2 to 64; only of kind 6.
@@ -78,7 +78,7 @@ pub struct Observations {
     /// Running CRC-32C of the producer's observations.
     #[prost(fixed32, tag = "6")]
     pub content_crc: u32,
-    /// When they were received.
+    /// Time at which the observations were received.
     #[prost(sint64, tag = "7")]
     pub received_nanos: i64,
     /// States that appear for the first time.
@@ -144,10 +144,10 @@ pub struct Scans {
     /// Sequence number of the last scan, refused ones included.
     #[prost(uint64, tag = "5")]
     pub last_sequence: u64,
-    /// Running CRC-32C of what the producer sent.
+    /// Running CRC-32C of the data that the producer sent.
     #[prost(fixed32, tag = "6")]
     pub content_crc: u32,
-    /// When they were received.
+    /// Time at which the scans were received.
     #[prost(sint64, tag = "7")]
     pub received_nanos: i64,
     /// Tiles that appear for the first time: x, y, z of each as zigzag varints, as differences from the one before.
@@ -171,8 +171,8 @@ pub struct Scans {
     /// Offset of each run.
     #[prost(sint32, repeated, tag = "14")]
     pub offset_secs: Vec<i32>,
-    /// If a scan has other tiles than the scan before: how many scans lie between this one and the last one that
-    /// is named here, and the set of tiles.
+    /// If a scan has other tiles than the scan before: the number of scans between this one and the last one that is
+    /// named here, and the set of tiles.
     #[prost(bytes = "vec", tag = "15")]
     pub seen: Vec<u8>,
     /// Column: how many observed bits each scan flips.
@@ -185,7 +185,7 @@ pub struct Scans {
     /// varints.
     #[prost(bytes = "vec", tag = "18")]
     pub observed_flips: Vec<u8>,
-    /// Cells whose occupied bit is flipped, likewise.
+    /// Cells whose occupied bit is flipped, in the encoding of `observed_flips`.
     #[prost(bytes = "vec", tag = "19")]
     pub occupied_flips: Vec<u8>,
     /// Tiles all of whose observed bits are flipped; their cells are neither among `observed_flips` nor in
@@ -200,7 +200,7 @@ pub struct Scans {
     /// frame.
     #[prost(uint32, repeated, tag = "22")]
     pub refused_reasons: Vec<u32>,
-    /// The cells that its scans are pictures of; absent if none said so.
+    /// The cells that the scans are pictures of; absent if no scan states them.
     #[prost(message, optional, tag = "23")]
     pub shown: Option<super::map::CellBox>,
 }

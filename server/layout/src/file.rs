@@ -87,7 +87,7 @@ impl Trailer {
     }
 }
 
-/// What a record is.
+/// The kind of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, prost::Enumeration)]
 #[repr(i32)]
 pub enum RecordKind {
@@ -133,7 +133,7 @@ pub enum RecordKind {
 /// Header of a record: kind u8, zero u8 × 3, payload length u32, payload CRC-32C u32, CRC-32C of the 12 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordHeader {
-    /// What the record is.
+    /// The kind of the record.
     pub kind: RecordKind,
     /// Length of the payload.
     pub payload_length: u32,

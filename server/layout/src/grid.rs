@@ -32,10 +32,10 @@ pub struct Grid {
     /// The tiles of the last scan in the log: a set.
     #[prost(bytes = "vec", tag = "7")]
     pub last_seen: Vec<u8>,
-    /// When the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
+    /// Time at which the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
     #[prost(sint64, optional, tag = "8")]
     pub received_nanos: Option<i64>,
-    /// The cells that its scans are pictures of; absent if none said so.
+    /// The cells that the scans of the grid are pictures of; absent if no scan states them.
     #[prost(message, optional, tag = "9")]
     pub shown: Option<super::map::CellBox>,
 }
@@ -117,10 +117,10 @@ pub struct Group {
     /// Observations of each.
     #[prost(uint64, tag = "2")]
     pub observations: u64,
-    /// Time of the first.
+    /// Time of the first observation.
     #[prost(sint64, tag = "3")]
     pub first_nanos: i64,
-    /// Time of the last.
+    /// Time of the last observation.
     #[prost(sint64, tag = "4")]
     pub last_nanos: i64,
     /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own
@@ -172,7 +172,7 @@ pub struct Cell {
     /// Sum of β over the readings as occupied. Present if the groups have theirs.
     #[prost(fixed64, optional, tag = "9")]
     pub occupied_weight_bits: Option<u64>,
-    /// The local day on which its change alarm rang, where it rings.
+    /// The local day on which the change alarm of the cell was raised, if it is on.
     #[prost(sint32, optional, tag = "10")]
     pub alarm_day: Option<i32>,
 }
@@ -209,7 +209,7 @@ pub struct GroupTimes {
     pub by_hour: Vec<f32>,
 }
 
-/// Which components of a cell are supported, and its change alarm.
+/// The supported components of a cell, and its change alarm.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct CellWatch {
     /// Daily gains of the orders: days, sum and sum of squares. Empty: none.
@@ -231,7 +231,7 @@ pub struct CellWatch {
     pub changes: u32,
 }
 
-/// When cells of a tile were observed on one day.
+/// The times at which cells of a tile were observed on one day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SeenDay {
     /// Number of scans that saw the tile, at least 1.
@@ -324,7 +324,7 @@ pub struct DayTileScans {
     pub first_occupied: Vec<u8>,
     /// Flips by bit, each ascending by scan: how many bits lie between this one and the one before (bit = 2·place, plus
     /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all
-    /// as varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
+    /// as varints. Within one scan, flips of observed bits come before those of occupied bits, each by place.
     #[prost(bytes = "vec", tag = "3")]
     pub flips: Vec<u8>,
     /// Used instead of `flips` if the flips of one scan have another order: all flips in that order. Per flip the

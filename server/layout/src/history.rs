@@ -57,7 +57,7 @@ pub struct StateSamples {
     /// before; of the first run less 0.
     #[prost(sint64, repeated, tag = "12")]
     pub run_steps: Vec<i64>,
-    /// How many of the last observations had waited because their time was ahead of the clock.
+    /// Number of the last observations that had waited because their time was later than the clock.
     #[prost(uint32, tag = "13")]
     pub ahead: u32,
     /// Number of the last observation of the state that had arrived when the update began; 0 where none had waited.
@@ -66,7 +66,7 @@ pub struct StateSamples {
     /// Whether the update ran early, to free memory.
     #[prost(bool, tag = "15")]
     pub is_early: bool,
-    /// Of no meaning any more.
+    /// This field has no meaning any more.
     #[prost(bool, tag = "16")]
     pub is_crowded: bool,
     /// Lengths of the runs of equal values, varints; then the column of values has one of each run.

@@ -36,7 +36,7 @@ pub const PART_LENGTH: usize = 3840;
 /// Version of a value.
 pub const VALUE_VERSION: u8 = 1;
 
-/// One state: what readers need of it.
+/// The data of one state that readers need.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct StateRow {
     /// The state without `spectrum`, and without `alternatives.hours`.
@@ -62,7 +62,7 @@ pub struct Total {
     pub fingerprint_sum: u64,
 }
 
-/// What a generation publishes of a grid besides its tiles.
+/// The published data of a grid in a generation, besides its tiles.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct GridMark {
     /// Number of tiles.
@@ -77,7 +77,7 @@ pub struct GridMark {
     /// Observations of single cells in them.
     #[prost(uint64, tag = "4")]
     pub cell_observations: u64,
-    /// The cells that its scans are pictures of; absent if none said so.
+    /// The cells that the scans of the grid are pictures of; absent if no scan states them.
     #[prost(message, optional, tag = "5")]
     pub shown: Option<super::map::CellBox>,
 }
@@ -91,7 +91,7 @@ pub struct Mark {
     /// The generation.
     #[prost(message, optional, tag = "2")]
     pub snapshot: Option<super::map::Snapshot>,
-    /// Its grid, where the map has one.
+    /// The grid of the map, if it has one.
     #[prost(message, optional, tag = "3")]
     pub grid: Option<GridMark>,
     /// The rows of the trees of states, tiles, cells, tables and producers, in this order.

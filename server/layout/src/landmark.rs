@@ -7,10 +7,10 @@
 pub struct Landmark {
     #[prost(string, tag = "1")]
     pub name: String,
-    /// Where it is in the image and what it looks like; absent of a marker.
+    /// Position and descriptor in the image; absent for a marker.
     #[prost(message, optional, tag = "2")]
     pub feature: Option<ImageFeature>,
-    /// How far along its edge, bits of f64; absent at a node.
+    /// Distance along the edge, bits of f64; absent at a node.
     #[prost(fixed64, optional, tag = "3")]
     pub along_bits: Option<u64>,
     /// The marker; absent of an image feature.
@@ -51,7 +51,7 @@ pub struct LandmarksAtPlace {
     /// Number of the edge; absent of a node.
     #[prost(uint32, optional, tag = "2")]
     pub edge: Option<u32>,
-    /// In the order in which they were added.
+    /// The landmarks, in the order in which they were added.
     #[prost(message, repeated, tag = "3")]
     pub landmarks: Vec<Landmark>,
     /// How a robot drove along the edge, in its own format.

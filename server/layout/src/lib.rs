@@ -30,9 +30,9 @@
 //! the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. Every byte is
 //! covered by a CRC-32C.
 //!
-//! `tidemap-store` converts these messages to the types of the domain, and says what they mean. Invariant: from the first
-//! release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it. A new
-//! format freezes a copy of this one in `tidemap-migrations`, beside the step that leads to the new one.
+//! `tidemap-store` converts these messages to the types of the domain, and defines their meaning. Invariant: from the
+//! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
+//! A new format freezes a copy of this one in `tidemap-migrations`, beside the step that leads to the new one.
 
 #![allow(missing_docs, reason = "fields whose name says it all")]
 

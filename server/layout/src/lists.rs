@@ -1,7 +1,7 @@
-//! The lists of what must exist, as text: a first line that says what it is, a line for each entry, and a checksum of
-//! all before.
+//! The lists of what must exist, as text: a first line with the kind of the list, a line for each entry, and a checksum
+//! of all before.
 //!
-//! Invariant: a text that is read is the text that its content gives when it is written again.
+//! Invariant: writing the content of a text that was read gives the text again.
 
 /// File of [`MapList`] in the data directory.
 pub const MAPS_FILE: &str = "MAPS";
@@ -37,13 +37,13 @@ pub struct FileList {
 /// A history file that must exist.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ListedFile {
-    /// Its name in the folder `history`.
+    /// Name of the file in the folder `history`.
     pub name: String,
     /// The smallest time of its observations.
     pub from_nanos: i64,
     /// The greatest time of its observations.
     pub to_nanos: i64,
-    /// Its length in bytes.
+    /// Length of the file in bytes.
     pub length: u64,
     /// The checksum in its trailer.
     pub total_crc: u32,
@@ -56,12 +56,12 @@ pub struct NewestSegment {
     pub first_position: u64,
 }
 
-/// What is to be erased from a map. The file exists until it is done.
+/// The observations to erase from a map. The file exists until they are erased.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ErasureOrder {
     /// Ids of states, ascending; with a part, none means all.
     pub states: Vec<u32>,
-    /// Which of their observations; `None`: all, with the states.
+    /// The part of their observations; `None`: all, with the states.
     pub part: Option<ErasedPart>,
 }
 
@@ -74,11 +74,11 @@ pub struct ErasedPart {
     pub to_nanos: i64,
     /// Ids of producers, ascending; none means all.
     pub producers: Vec<u32>,
-    /// Whether the sequences of these producers are forgotten, and states of which nothing is left stay.
+    /// Whether the sequences of these producers are forgotten, and states without remaining observations stay.
     pub forgets: bool,
 }
 
-/// How often something was erased from a map; there is no file before the first time.
+/// The number of erasures in a map; there is no file before the first one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErasureCount {
     /// The number.
@@ -95,13 +95,13 @@ pub struct CheckpointList {
 }
 
 impl Default for CheckpointList {
-    /// That of a new map.
+    /// Returns the list of a new map.
     fn default() -> CheckpointList {
         CheckpointList { first_record: 1, checkpoints: Vec::new() }
     }
 }
 
-/// What was accepted as lost, in the order of its acceptance.
+/// The losses that were accepted, in the order of their acceptance.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LossList {
     /// The losses.
@@ -111,11 +111,11 @@ pub struct LossList {
 /// Something that is lost, and accepted as lost.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Loss {
-    /// When an operator accepted it, nanoseconds UTC.
+    /// Time at which an operator accepted the loss, nanoseconds UTC.
     pub accepted_nanos: i64,
     /// The file or folder, within the data directory; without spaces.
     pub file: String,
-    /// What was wrong with it; one line.
+    /// Description of the damage; one line.
     pub problem: String,
 }
 
@@ -139,10 +139,10 @@ pub trait TextList: Sized {
         text + &format!("crc32c {checksum:08x}\n")
     }
 
-    /// The list of a text.
+    /// Reads the list from a text.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of what is wrong with the text.
     fn from_text(text: &[u8]) -> Result<Self, &'static str> {
         let text = std::str::from_utf8(text).map_err(|_| "it is not text")?;
         let body = text.rfind("crc32c ").and_then(|end| text.get(..end)).ok_or("its checksum is missing")?;

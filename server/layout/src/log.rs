@@ -4,7 +4,7 @@
 //! every 255 bytes and one more at its end.
 //!
 //! Invariant: no frame holds 512 zero bytes in a row, begins with a zero byte or ends with one. A sector that never
-//! reached the disk reads as zeros, so it can be told from a written one with a flipped bit.
+//! reached the disk reads as zeros, so it can be distinguished from a written one with a flipped bit.
 
 use super::{FORMAT, u32_at, u64_at};
 
@@ -64,7 +64,8 @@ impl SegmentHeader {
     }
 }
 
-/// What a frame's payload is. The numbers have several bits set, so that no single flipped bit makes a first byte zero.
+/// The kind of a frame's payload. The numbers have several bits set, so that no single flipped bit makes a first byte
+/// zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
     /// [`super::event::Observations`].
@@ -89,14 +90,14 @@ pub enum FrameKind {
 /// body CRC-32C u32, CRC-32C of the 28 bytes before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHeader {
-    /// What the payload is.
+    /// The kind of the payload.
     pub kind: FrameKind,
     /// Length of the payload, without guards.
     pub payload_length: u32,
     /// Number of the record, from 1.
     pub position: u64,
-    /// How many records before this one were written together with it. All records before those were durable, which
-    /// distinguishes a torn tail from a damaged durable record.
+    /// Number of records before this one that were written together with it. All records before those were durable,
+    /// which distinguishes a torn tail from a damaged durable record.
     pub group_index: u32,
     /// Header CRC of the record before, [`FIRST_CHAIN`] for the first.
     pub chain: u32,

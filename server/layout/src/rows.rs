@@ -1,17 +1,17 @@
-//! How the rows of a state come about that are no readings, and what is known of them.
+//! The reporting of a state whose rows are no readings, and the stored data of its rows.
 //!
 //! Invariant: a frozen layout. Fields may be added, none may change.
 
-/// How rows that are no readings come about.
+/// How the rows of a state come about that are no readings.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Reporting {
     /// 1 changes, 2 events.
     #[prost(uint32, tag = "1")]
     pub kind: u32,
-    /// The longest time for which a row says something, seconds.
+    /// The longest time for which a row is valid, seconds.
     #[prost(uint32, tag = "2")]
     pub max_secs: u32,
-    /// The time between two readings that rows stand for, seconds.
+    /// The time between two readings that rows represent, seconds.
     #[prost(uint32, tag = "3")]
     pub step_secs: u32,
 }
@@ -33,13 +33,13 @@ pub struct NewestRow {
     /// Nanoseconds UTC.
     #[prost(sfixed64, tag = "1")]
     pub nanos: i64,
-    /// Whether it has a value.
+    /// Whether the row has a value.
     #[prost(bool, tag = "2")]
     pub has_value: bool,
-    /// Whether it arrived when it was made.
+    /// Whether the row arrived when it was made.
     #[prost(bool, tag = "3")]
     pub is_live: bool,
-    /// Who sent it.
+    /// The producer that sent it.
     #[prost(uint32, tag = "4")]
     pub producer: u32,
     /// Events of its step.

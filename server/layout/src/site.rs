@@ -1,4 +1,4 @@
-//! The site of a map: what people and robots tell it besides observations, as rows of tables, and changes of tables.
+//! The site of a map: data that people and robots enter besides observations, as rows of tables, and changes of tables.
 //!
 //! | number | table | row | change |
 //! | --- | --- | --- | --- |
@@ -36,7 +36,7 @@ pub struct SiteEdit {
     pub edit: Vec<u8>,
 }
 
-/// Where something is: x and y in metres, as bits.
+/// A position: x and y in metres, as bits.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Position {
     /// Along x.
@@ -55,7 +55,7 @@ pub struct Location {
     /// Numbers of the states, ascending.
     #[prost(uint32, repeated, tag = "2")]
     pub states: Vec<u32>,
-    /// Where the robot stands; absent: not given.
+    /// Position of the robot when it observes the states; absent: not given.
     #[prost(message, optional, tag = "3")]
     pub position: Option<Position>,
     /// Cells of the grid, ascending.
@@ -86,13 +86,13 @@ pub struct Attempts {
     /// Along y.
     #[prost(sint32, tag = "2")]
     pub y: i32,
-    /// How many, 1 to 5.
+    /// Number of attempts, 1 to 5.
     #[prost(uint32, tag = "3")]
     pub count: u32,
-    /// Whether they succeeded, the newest in the lowest bit.
+    /// Whether the attempts succeeded, the newest in the lowest bit.
     #[prost(uint32, tag = "4")]
     pub reached: u32,
-    /// Time of the newest.
+    /// Time of the newest attempt.
     #[prost(sint64, tag = "5")]
     pub last_nanos: i64,
 }
@@ -100,13 +100,13 @@ pub struct Attempts {
 /// A robot reached a place, or did not.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Visit {
-    /// Where.
+    /// The place.
     #[prost(message, optional, tag = "1")]
     pub position: Option<Position>,
-    /// Whether it got there.
+    /// Whether the robot reached the place.
     #[prost(bool, tag = "2")]
     pub reached: bool,
-    /// When.
+    /// Time of the visit.
     #[prost(sint64, tag = "3")]
     pub utc_nanos: i64,
 }
@@ -117,19 +117,19 @@ pub struct EdgeFailure {
     /// Name of the node where the edge begins.
     #[prost(string, tag = "1")]
     pub from: String,
-    /// Name of the node where it ends.
+    /// Name of the node where the edge ends.
     #[prost(string, tag = "2")]
     pub to: String,
-    /// Its action; empty: the usual one.
+    /// Action of the edge; empty: the usual one.
     #[prost(string, tag = "3")]
     pub action: String,
     /// When the robot set out.
     #[prost(sint64, tag = "4")]
     pub start_nanos: i64,
-    /// When it gave up.
+    /// When the robot gave up.
     #[prost(sint64, tag = "5")]
     pub end_nanos: i64,
-    /// Why, at most 200 characters.
+    /// Reason of the failure, at most 200 characters.
     #[prost(string, tag = "6")]
     pub reason: String,
 }
@@ -139,7 +139,7 @@ pub struct EdgeFailure {
 pub struct NoGoArea {
     #[prost(string, tag = "1")]
     pub name: String,
-    /// At least three.
+    /// The corners, at least three.
     #[prost(message, repeated, tag = "2")]
     pub corners: Vec<Position>,
 }
@@ -160,7 +160,7 @@ pub struct FailedTraversals {
     pub failures: Vec<EdgeFailure>,
 }
 
-/// Where the robot rests.
+/// A change of the charger, where the robot rests.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct ChargerEdit {
     /// Absent: nowhere in particular.
@@ -171,12 +171,12 @@ pub struct ChargerEdit {
 /// A change of the locations.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct LocationEdit {
-    /// What changes.
+    /// The change.
     #[prost(oneof = "LocationChange", tags = "1, 2")]
     pub change: Option<LocationChange>,
 }
 
-/// What changes.
+/// The kinds of changes of the locations.
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub enum LocationChange {
     /// A location is added or replaced.
@@ -190,12 +190,12 @@ pub enum LocationChange {
 /// A change of the no-go areas.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NoGoEdit {
-    /// What changes.
+    /// The change.
     #[prost(oneof = "NoGoChange", tags = "1, 2")]
     pub change: Option<NoGoChange>,
 }
 
-/// What changes.
+/// The kinds of changes of the no-go areas.
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub enum NoGoChange {
     /// An area is added or replaced.

@@ -1,14 +1,14 @@
-//! The tasks of a site: what is to be done, the kept plans of days, and the reports of what was done.
+//! The tasks of a site, the kept plans of days, and the reports of runs.
 //!
 //! Invariant: as in [`super::site`].
 
 /// A task.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Task {
-    /// What is done.
+    /// The activity of the task.
     #[prost(string, tag = "1")]
     pub kind: String,
-    /// Name of the node where it is done.
+    /// Name of the node where the task is done.
     #[prost(string, tag = "2")]
     pub node: String,
     /// Earliest start and latest end, seconds after local midnight.
@@ -21,7 +21,7 @@ pub struct Task {
     /// A bit for each day of the week, Monday in the lowest; 0 where `day` is present.
     #[prost(uint32, tag = "6")]
     pub weekdays: u32,
-    /// The only day on which it is done, in days since 1970-01-01.
+    /// The only day on which the task is done, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "7")]
     pub day: Option<i32>,
     /// Length of the parts of the window; absent: it is not divided.
@@ -46,24 +46,24 @@ pub struct TaskName {
 /// A step of a plan: a task where `kind` is not empty, otherwise exploration.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct PlanStep {
-    /// When the robot departs for it.
+    /// When the robot departs for the step.
     #[prost(sint64, tag = "1")]
     pub departure_nanos: i64,
-    /// How long after that it begins.
+    /// Time from the departure to the beginning of the step.
     #[prost(sint64, tag = "2")]
     pub travel_nanos: i64,
-    /// How long it takes.
+    /// Duration of the step.
     #[prost(sint64, tag = "3")]
     pub duration_nanos: i64,
     #[prost(string, tag = "4")]
     pub kind: String,
-    /// Name of the node, or of what is explored.
+    /// Name of the node, or of the explored location.
     #[prost(string, tag = "5")]
     pub place: String,
     /// Value of the task, or bits of information.
     #[prost(fixed64, tag = "6")]
     pub worth_bits: u64,
-    /// Probability that nothing fails on the way; 0 where it explores.
+    /// Probability that nothing fails on the way; 0 for exploration.
     #[prost(fixed64, tag = "7")]
     pub success_bits: u64,
 }
@@ -71,7 +71,7 @@ pub struct PlanStep {
 /// The plan of a day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Plan {
-    /// In days since 1970-01-01.
+    /// The day, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
     #[prost(sint64, tag = "2")]
@@ -90,7 +90,7 @@ pub struct TaskRun {
     pub node: String,
     #[prost(sint64, tag = "3")]
     pub start_nanos: i64,
-    /// How long it took.
+    /// Duration of the run.
     #[prost(sint64, tag = "4")]
     pub duration_nanos: i64,
     #[prost(bool, tag = "5")]
@@ -98,12 +98,12 @@ pub struct TaskRun {
     /// Whether somebody had to help.
     #[prost(bool, tag = "6")]
     pub intervention: bool,
-    /// Why it failed, at most 200 characters.
+    /// Reason of the failure, at most 200 characters.
     #[prost(string, tag = "7")]
     pub reason: String,
 }
 
-/// All of it.
+/// The tasks, kept plans and reports of a site.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TaskBook {
     /// Ascending by kind, then by node.
@@ -120,12 +120,12 @@ pub struct TaskBook {
 /// A change of the tasks.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TaskEdit {
-    /// What changes.
+    /// The change.
     #[prost(oneof = "TaskChange", tags = "1, 2, 3")]
     pub change: Option<TaskChange>,
 }
 
-/// What changes.
+/// The kinds of changes of the tasks.
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub enum TaskChange {
     /// A task is added or replaced.

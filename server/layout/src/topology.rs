@@ -1,9 +1,9 @@
 //! The topological map of a site, and its edits.
 //!
-//! Invariant: doubles are kept as their bits; what is absent was not told. Nodes have names in edits, numbers in the
+//! Invariant: doubles are kept as their bits; an absent value was not given. Nodes have names in edits, numbers in the
 //! map.
 
-/// Where a node lies, as bits.
+/// Position and heading of a node, as bits.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Pose {
     /// Metres along x.
@@ -24,10 +24,10 @@ pub struct Node {
     pub id: u32,
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Where it lies.
+    /// Position and heading of the node.
     #[prost(message, optional, tag = "3")]
     pub pose: Option<Pose>,
-    /// How long a visit takes, seconds.
+    /// Duration of a visit, seconds.
     #[prost(fixed64, optional, tag = "4")]
     pub dwell_bits: Option<u64>,
 }
@@ -43,7 +43,7 @@ pub struct Edge {
     /// Number of the node where it ends.
     #[prost(uint32, tag = "3")]
     pub to: u32,
-    /// How it is travelled.
+    /// Action by which the edge is travelled.
     #[prost(string, optional, tag = "4")]
     pub action: Option<String>,
     /// Metres.
@@ -54,7 +54,7 @@ pub struct Edge {
     pub nominal_bits: Option<u64>,
 }
 
-/// All of it.
+/// The whole topological map.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Topology {
     /// The number that the next node gets.
@@ -80,7 +80,7 @@ pub struct NamedEdge {
     /// Name of the node where it ends.
     #[prost(string, tag = "2")]
     pub to: String,
-    /// How it is travelled.
+    /// Action by which the edge is travelled.
     #[prost(string, optional, tag = "3")]
     pub action: Option<String>,
     /// The edge back as well.
@@ -103,7 +103,7 @@ pub struct Load {
     /// Edges.
     #[prost(message, repeated, tag = "2")]
     pub edges: Vec<NamedEdge>,
-    /// What is not named is removed.
+    /// Whether nodes and edges that are not named are removed.
     #[prost(bool, tag = "3")]
     pub replaces: bool,
 }
@@ -122,15 +122,15 @@ pub struct Rename {
 /// One change.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Edit {
-    /// What changes.
+    /// The change.
     #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7, 8")]
     pub change: Option<Change>,
 }
 
-/// What changes.
+/// The kinds of changes of the topological map.
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub enum Change {
-    /// All of it, or much.
+    /// Many nodes and edges are added, or all are replaced.
     #[prost(message, tag = "1")]
     Load(Load),
     /// A node is added.

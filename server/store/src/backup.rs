@@ -55,7 +55,7 @@ pub enum BackupError {
     /// The backup cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The caller wanted no more of it.
+    /// The caller stopped the backup.
     #[error("the backup was stopped; make it again")]
     Stopped,
     /// The manifest cannot be read or written.
@@ -66,7 +66,7 @@ pub enum BackupError {
     Io { file: PathBuf, source: io::Error },
 }
 
-/// What was copied.
+/// The files that were copied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackupReport {
     /// Maps.
@@ -183,8 +183,8 @@ fn remove_old(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), BackupError
 
 impl Store {
     /// Copies all maps to a folder, which is empty or holds an earlier backup of the same data directory. Appends go on
-    /// meanwhile; saves of the map that is being copied wait. What was acknowledged before the call is in the backup.
-    /// Maps that are set aside are not copied; what an earlier backup has of them stays.
+    /// meanwhile; saves of the map that is being copied wait. Observations that were acknowledged before the call are
+    /// in the backup. Maps that are set aside are not copied; the data that an earlier backup has of them stays.
     ///
     /// # Errors
     /// [`BackupError`]; an earlier backup in the folder can still be restored.
@@ -192,10 +192,11 @@ impl Store {
         self.backup_while(target, &|| true)
     }
 
-    /// As [`Store::backup`]; before each file it is asked whether the backup goes on.
+    /// Does the same as [`Store::backup`]; before each file it calls `goes_on`, which decides whether the backup goes
+    /// on.
     ///
     /// # Errors
-    /// As [`Store::backup`], and [`BackupError::Stopped`].
+    /// The errors of [`Store::backup`], and [`BackupError::Stopped`].
     pub fn backup_while(&self, target: &Path, goes_on: &dyn Fn() -> bool) -> Result<BackupReport, BackupError> {
         let inner = self.inner();
         // Two at once would write the same files.
@@ -214,7 +215,7 @@ impl Store {
         for name in [MAPS_FILE, LOSSES_FILE] {
             let file = inner.directory.join(name);
             match read_all(&*inner.disk, &file) {
-                // There are no losses.
+                // A store without losses has no such file.
                 Err(error) if error.kind() == io::ErrorKind::NotFound && name == LOSSES_FILE => {}
                 list => {
                     let list = list.map_err(io_error(&file))?;
@@ -255,7 +256,7 @@ pub fn link_backup(backup: &Path, target: &Path) -> Result<(), BackupError> {
         if from.is_dir() {
             link_backup(&from, &to)?;
         } else if name != "LOCK" && !name.ends_with(".part") {
-            // What cannot be linked is copied by the backup itself.
+            // A file that cannot be linked is copied by the backup itself.
             let _ = fs::hard_link(&from, &to);
         }
     }
@@ -305,7 +306,7 @@ impl OpenStore {
         let (from, to) = (folders::map_folder(&self.directory, map), folders::map_folder(target, map));
         let erasures = erasure::count(&*self.disk, &from).map_err(io_error(&from))?;
         if names(&to)?.iter().any(|name| name == "MAP") && erasure::count(&RealDisk, &to).ok() != Some(erasures) {
-            // Its files have the names of other files now, and hold what was erased.
+            // The files of the earlier backup have the names of other files now, and hold erased data.
             fs::remove_dir_all(&to).map_err(io_error(&to))?;
         }
         let folders = [folders::log_folder, folders::history_folder, folders::checkpoints_folder];
@@ -342,7 +343,7 @@ impl OpenStore {
         for first in names.iter().filter_map(|name| segment_position(name)) {
             let path = segment_path(from, first);
             let length = match durable {
-                // Created after the look at the writer.
+                // The segment was created after `durable` was read from the writer.
                 Some((last, _)) if first > last => continue,
                 Some((last, bytes)) if first == last => bytes,
                 _ => self.disk.length(&path).map_err(io_error(&path))?,

@@ -1,10 +1,10 @@
 //! Checking a data directory that no daemon uses: every record of every log, checkpoint and history file, the lists of
 //! what must exist, and the index.
 //!
-//! Invariant: a map without a finding is one that a start opens: both read it with the same code. A look changes
-//! nothing. A repair loses nothing: it only makes lists again where other files prove that all is there, and sets a
-//! damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost is recorded in `LOSSES`
-//! first.
+//! Invariant: a map without a finding is one that a start opens: both read it with the same code. A check in the mode
+//! `Look` changes nothing. A repair loses nothing: it only makes lists again where other files prove that all is there,
+//! and sets a damaged index aside, which is rebuilt from the checkpoints. Going on without the lost data is recorded in
+//! `LOSSES` first.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -42,7 +42,7 @@ use crate::{
 };
 
 const INDEX_CACHE_BYTES: u64 = 64 << 20;
-/// What is loaded of a checkpoint to check it.
+/// The memory for the part of a checkpoint that is loaded to check it.
 const MEMORY: Memory = Memory { tile_bytes: 64 << 20, spectrum_bytes: 64 << 20 };
 
 const FROM_BACKUP: &str = "restore this file from a backup";
@@ -56,28 +56,28 @@ const BY_ACCEPTING: &str = "restore it from a backup of this folder; or, to go o
 const BY_DISK: &str = "it may be sound: free some space, or check the disk and the permissions; nothing is lost";
 const BY_START: &str = "start the daemon, which makes it again from the checkpoints; nothing is lost";
 
-/// What a check may do.
+/// The actions that a check may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Only look.
+    /// Only read.
     Look,
     /// Repair what can be repaired without loss.
     Repair,
-    /// Also go on without what is lost, as an operator has accepted.
+    /// Also go on without the lost data, as an operator has accepted.
     AcceptLoss {
         /// The present time, nanoseconds UTC.
         now_nanos: i64,
     },
 }
 
-/// What became of a finding.
+/// The outcome of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Nothing was done.
     Open,
-    /// It has been repaired, without loss.
+    /// The damage has been repaired, without loss.
     Repaired,
-    /// It is lost. The loss is recorded, and the daemon goes on without.
+    /// The data is lost. The loss is recorded, and the daemon goes on without.
     Accepted,
 }
 
@@ -86,17 +86,17 @@ pub enum Outcome {
 pub struct Finding {
     /// The file or folder, within the data directory.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// Description of the damage.
     pub problem: String,
-    /// What to do.
+    /// Advice what to do.
     pub advice: &'static str,
-    /// Whether nothing is lost by it, because other files hold the same.
+    /// Whether the damage loses nothing, because other files hold the same data.
     pub is_spare: bool,
-    /// What became of it.
+    /// The outcome of the finding.
     pub outcome: Outcome,
 }
 
-/// What a check has read and found.
+/// The files that a check has read, and its findings.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Checked {
     /// The disk format of the directory.
@@ -111,9 +111,9 @@ pub struct Checked {
     pub files: u64,
     /// Number of records of logs.
     pub log_records: u64,
-    /// What is wrong.
+    /// The findings.
     pub findings: Vec<Finding>,
-    /// What was lost, and accepted as lost, earlier or now.
+    /// The losses that were accepted, earlier or now.
     pub losses: Vec<Loss>,
 }
 
@@ -129,7 +129,7 @@ struct Check<'a> {
     checked: Checked,
 }
 
-/// What the index holds of the maps; empty where there is none, or it cannot be opened.
+/// The rows of the maps in the index; empty where there is no index, or it cannot be opened.
 type IndexedMaps = BTreeMap<MapId, Result<RowsState, ReadFailure>>;
 
 /// Checks the files of a data directory that no daemon uses.
@@ -144,7 +144,7 @@ pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
 /// Does what [`check`] does, and tries to restore each map that is whole.
 ///
 /// # Errors
-/// As [`check`].
+/// The errors of [`check`].
 pub fn check_with(directory: &Path, mode: Mode, restore: &TryRestore<'_>) -> Result<Checked, OpenError> {
     let Some(manifest) = manifest::read(directory, FORMAT)? else {
         let reason = "there is none: this is no data directory of tidemapd".to_owned();
@@ -234,7 +234,7 @@ impl Check<'_> {
                     let forget = |list: &mut MapList| list.maps.retain(|(number, _)| *number != map.id.0);
                     catalogue::change_list(&*disk, directory, forget).is_ok()
                 };
-                // Its name may be that of a person, and is not recorded.
+                // The name of the map may be that of a person, and is not recorded.
                 self.find_lost(&folder, "the folder of this map is missing", forget);
                 if let Some(finding) = self.checked.findings.last_mut() {
                     finding.problem = problem;
@@ -254,7 +254,7 @@ impl Check<'_> {
         Ok(found.maps.into_iter().collect())
     }
 
-    /// Whether the index should have rows of the map.
+    /// Checks a map; returns whether the index should have rows of it.
     fn map(&mut self, map: MapId, spec: &MapSpec) -> bool {
         self.history(map, spec);
         let newest = self.checkpoints(map, spec);
@@ -264,7 +264,7 @@ impl Check<'_> {
         newest.is_some()
     }
 
-    /// What was set aside where the logs of two daemons parted.
+    /// Checks the forks, which were set aside where the logs of two daemons parted.
     fn forks(&mut self, map: MapId) {
         let folder = folders::map_folder(self.directory, map).join(FORKS_FOLDER);
         let names = match fork_names(&*self.disk, &folder) {
@@ -284,7 +284,7 @@ impl Check<'_> {
         }
     }
 
-    /// How often something was erased, which backups and the next erasure read.
+    /// Checks the number of erasures, which backups and the next erasure read.
     fn erasures(&mut self, map: MapId) {
         let folder = folders::map_folder(self.directory, map);
         if let Err(error) = erasure::count(&*self.disk, &folder) {
@@ -360,7 +360,7 @@ impl Check<'_> {
         }
         let log = folders::log_folder(directory, map);
         let Ok(present) = checkpoints.present(&log) else { return newest };
-        // Where the map can be restored, nothing else that is listed holds more.
+        // If the map can be restored, no other listed file holds more.
         let is_whole = newest.map_or(1, |(_, replay_from)| replay_from) >= present.first_record;
         let make = || lists::make_checkpoints(&*disk, directory, map).is_ok();
         let list_path = checkpoints.list_path();
@@ -395,7 +395,8 @@ impl Check<'_> {
         let (position, replay_from) = known.unwrap_or((0, 1));
         let names = self.disk.list(&folder).unwrap_or_default();
         let first = names.iter().find_map(|name| segment_position(name)).unwrap_or(1);
-        // Also the segments that only older checkpoints need. Without a checkpoint, the log must begin with record 1.
+        // Segments that only older checkpoints need must exist, too. Without a checkpoint, the log must begin with
+        // record 1.
         let replay_from = replay_from.min(first.max(1));
         let list = folder.join(NEWEST_FILE);
         let go_on = || lists::make_newest(&*disk, directory, map).is_ok();
@@ -411,7 +412,7 @@ impl Check<'_> {
                 }
             }
         }
-        // What is wrong with the list has been found.
+        // A fault of the list has been found already.
         let is_listed = self.list::<NewestSegment>(&list).is_ok();
         let expected = recovery::Expectation { map: map.0, replay_from, known: position, is_listed };
         let read = match recovery::read(&*self.disk, &folder, &expected) {
@@ -461,7 +462,7 @@ impl Check<'_> {
         }
     }
 
-    /// What the index holds of the maps, and why it cannot be used.
+    /// Reads the rows of the maps from the index, and the reason why it cannot be used.
     fn read_index(&mut self, maps: &[(MapId, MapSpec)]) -> Result<(IndexedMaps, Option<ReadFailure>), OpenError> {
         let folder = self.directory.join("index");
         if !is_present(&folder) {

@@ -53,13 +53,13 @@ pub(crate) struct UnreadCheckpoint {
 }
 
 impl UnreadCheckpoint {
-    /// Why it cannot be read.
+    /// The reason why the checkpoint cannot be read.
     pub(crate) fn failure(&self) -> &ReadFailure {
         &self.failure
     }
 }
 
-/// What was written.
+/// The counts of the written data.
 struct Written {
     trailer: Trailer,
     shared: Vec<Weak<PhasorSum>>,
@@ -248,7 +248,7 @@ impl Checkpoints<'_> {
     }
 
     /// The smallest log position from which any of the checkpoints replays; `None` if there are fewer than `count`, or
-    /// where one cannot say.
+    /// where one cannot be read.
     pub(crate) fn replay_from(&self, count: usize) -> io::Result<Option<u64>> {
         let positions = self.positions()?;
         if positions.is_empty() || positions.len() < count {
@@ -261,7 +261,7 @@ impl Checkpoints<'_> {
         Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
 
-    /// The generation of the newest checkpoint that can say; `None` where there is none.
+    /// The generation of the newest checkpoint that can be read; `None` where there is none.
     pub(crate) fn newest_generation(&self) -> Option<u64> {
         self.positions().ok()?.into_iter().rev().find_map(|position| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;

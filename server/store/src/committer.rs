@@ -50,14 +50,14 @@ struct Queue {
 /// The queue of the committer and its measurements.
 #[derive(Default)]
 pub(crate) struct Committer {
-    /// Held for a push or a take, never while the disk works.
+    /// The lock is held for a push or a take, never while the disk works.
     queue: Mutex<Queue>,
     has_work: Condvar,
     has_room: Condvar,
     times: SyncTimes,
-    /// Hears of a full disk, and of its end.
+    /// Receives that the disk is full, and that it no longer is.
     pub(crate) watch: Watch,
-    /// Who follows the group commits.
+    /// The follower of the group commits, if there is one.
     pub(crate) followed: Followed,
     /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,
@@ -98,7 +98,7 @@ impl Committer {
         self.poison.get_or_init(|| error).clone()
     }
 
-    /// The error that stops all writing, if the folder is no longer ours. A look takes microseconds beside a sync.
+    /// The error that stops all writing, if the folder is no longer ours. The check takes microseconds beside a sync.
     pub(crate) fn check_lock(&self) -> Option<AppendError> {
         let lock = self.lock.get()?.upgrade()?;
         let (file, reason) = lock.problem()?;
@@ -205,7 +205,7 @@ impl Committer {
         None
     }
 
-    /// Writes a group. Where that fails, its completions have heard of it.
+    /// Writes a group. Where that fails, its completions have received the error.
     fn write(&self, mut group: Group) -> Result<Group, AppendError> {
         group.follower = self.followed.begin(group.log.map, group.events.iter().map(EncodedEvent::frame_length));
         let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {

@@ -42,7 +42,7 @@ impl From<TileUnavailable> for NoDigest {
     }
 }
 
-/// The digest of a snapshot: the upper half stands for all but the grid, the lower half for the grid, 0 without one.
+/// The digest of a snapshot: the upper half covers all but the grid, the lower half the grid, 0 without one.
 ///
 /// # Errors
 /// [`NoDigest`] where sums or tiles cannot be read from the disk, or the snapshot could not be saved.
@@ -94,12 +94,12 @@ fn of_grid(grid: &GridSnapshot) -> Result<u32, NoDigest> {
         cell_observations: grid.cell_observations,
         last_seen,
         shown: spec::encode_shown(&grid.shown),
-        // What waits for a later update.
+        // The observations that wait for a later update are left out.
         ..layout::Grid::default()
     };
     leaves.message(RecordKind::Grid, &head);
     for (index, live) in grid.tiles.iter().enumerate() {
-        // Its model tells whether it has one, wherever it is.
+        // `has_model` is left false: the record of the model shows that the tile has one, wherever the model is.
         leaves.message(RecordKind::Tile, &tile::encode(live, false)?);
         if let Some(model) = grid.models.get(index) {
             add_model(&mut leaves, &*model.get()?);

@@ -44,7 +44,7 @@ pub trait DiskFile: Send {
     fn truncate(&mut self, length: u64) -> io::Result<()>;
     /// Makes the file's bytes and length durable. After an error it is not known what is.
     fn sync(&mut self) -> io::Result<()>;
-    /// What somebody else has done to the file, if a path no longer leads to it or it has another length.
+    /// The change that somebody else has made to the file, if a path no longer leads to it or it has another length.
     fn problem(&self, _path: &Path, _length: u64) -> Option<&'static str> {
         None
     }

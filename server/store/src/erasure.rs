@@ -13,7 +13,8 @@
 //! 5. The index is written to a new folder without the rows of the map, and indexes that were set aside are removed.
 //!    Then `NUMBER.replaced` is removed, with the order. A start repeats this while that folder is there.
 //!
-//! A backup knows by the count in `ERASURES` that its copy of the map is of before, and makes a new copy.
+//! A backup detects by the count in `ERASURES` that its copy of the map is from before the erasure, and makes a new
+//! copy.
 //!
 //! Invariant: at every moment the map is whole in exactly one of the folders that a start uses.
 
@@ -92,7 +93,7 @@ fn copy(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// How often something was erased from the map in a folder.
+/// Number of erasures in the map in a folder.
 pub(crate) fn count(disk: &dyn Disk, folder: &Path) -> io::Result<u64> {
     let damaged = |reason| io::Error::new(io::ErrorKind::InvalidData, reason);
     match list_file::read::<ErasureCount>(disk, &folder.join(ERASURES_FILE)) {
@@ -103,14 +104,14 @@ pub(crate) fn count(disk: &dyn Disk, folder: &Path) -> io::Result<u64> {
     }
 }
 
-/// What has been read before a map is written again.
+/// The data that has been read before a map is written again.
 pub(crate) struct Prepared {
     snapshot: Option<MapSnapshot>,
     erasure: StateErasure,
     pub(crate) erased: Erased,
 }
 
-/// How much is erased.
+/// The amount of erased data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Erased {
     /// States of which something is erased, each axis of a vector counted.
@@ -274,7 +275,7 @@ pub(crate) fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Ve
     Ok(names.iter().filter_map(|name| folders::map_number(name.strip_suffix(suffix)?)).collect())
 }
 
-/// Before the maps are listed: completes erasures whose new folder is complete, and removes those that are not.
+/// Runs before the maps are listed: completes erasures whose new folder is complete, and removes those that are not.
 pub(crate) fn complete(
     disk: &dyn Disk,
     directory: &Path,
@@ -310,7 +311,7 @@ pub(crate) fn read_order(disk: &dyn Disk, directory: &Path, map: MapId) -> Resul
     }
 }
 
-/// After the maps are listed: repeats an erasure that was ordered. An error sets the map aside.
+/// Runs after the maps are listed: repeats an erasure that was ordered. An error sets the map aside.
 pub(crate) fn repeat(
     disk: &Arc<dyn Disk>,
     directory: &Path,

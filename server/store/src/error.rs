@@ -42,7 +42,7 @@ pub enum OpenError {
         .directory.display()
     )]
     ManifestMissing { directory: PathBuf },
-    /// It has an older format, and was not brought to the format of this version.
+    /// The directory has an older format, and was not brought to the format of this version.
     #[error("{}: {source}", .directory.display())]
     NotMigrated { directory: PathBuf, source: MigrateError },
     /// The log of a map is damaged where it may hold acknowledged data.
@@ -193,7 +193,7 @@ fn has_sent(key: &ProducerKey) -> String {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum EraseError {
-    /// Nothing is changed, because it cannot be done exactly.
+    /// Nothing is changed, because the erasure cannot be done exactly.
     #[error(transparent)]
     NotErasable(#[from] NotErasable),
     /// Nothing is changed, because scans cannot be taken out of a grid.
@@ -203,7 +203,7 @@ pub enum EraseError {
         producer.as_ref().map_or_else(|| "the map has".to_owned(), has_sent)
     )]
     HasScans {
-        /// Who has sent them; `None`: some producer of the map.
+        /// The producer that has sent them; `None`: some producer of the map.
         producer: Option<ProducerKey>,
     },
     /// The map cannot be read.
@@ -227,8 +227,8 @@ pub enum EraseError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum Repair {
-    /// The end of a log had not been written whole when the process or the machine stopped.
-    /// Of its last bytes, `zero_bytes` are zero: what was there is not known.
+    /// The end of a log had not been written whole when the process or the machine stopped. The last `zero_bytes` bytes
+    /// of it are zero: their earlier contents are not known.
     TornTail { file: PathBuf, bytes: u64, zero_bytes: u64 },
     /// A checkpoint cannot be read; it was renamed and an older one is used.
     CheckpointSetAside { file: PathBuf, reason: String },
@@ -303,7 +303,7 @@ impl fmt::Display for Repair {
     }
 }
 
-/// What is known of zeros at the end of a log.
+/// Describes zeros at the end of a log.
 pub(crate) fn zeroed_tail(zero_bytes: u64) -> String {
     format!("the last {zero_bytes} bytes are zero; records that were there may have been acknowledged")
 }
@@ -348,17 +348,18 @@ const OF_CONTENT: [rustix::io::Errno; 7] = {
 };
 
 /// Whether the disk or the machine refuses, by the number of the system's error: a full or read-only disk, a file that
-/// may not be read, a lack of descriptors or memory, a disk that fails. It tells nothing of what a file holds.
+/// may not be read, a lack of descriptors or memory, a disk that fails. Such an error gives no information about the
+/// contents of a file.
 pub(crate) fn is_of_machine_code(code: i32) -> bool {
     code != 0 && OF_CONTENT.iter().all(|of_content| of_content.raw_os_error() != code)
 }
 
-/// Whether the disk or the machine refuses, which tells nothing of what a file holds.
+/// Whether the disk or the machine refuses, which gives no information about the contents of a file.
 pub(crate) fn is_of_machine(error: &io::Error) -> bool {
     use io::ErrorKind;
     match error.raw_os_error() {
         Some(code) => is_of_machine_code(code),
-        // Of an error that was copied, only its kind is left.
+        // A copied error has only its kind left.
         None => matches!(
             error.kind(),
             ErrorKind::StorageFull

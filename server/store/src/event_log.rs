@@ -1,4 +1,4 @@
-//! What the writer of a map needs of a log, whether it lies on this disk alone or daemons share it.
+//! The interface of a log that the writer of a map needs, whether the log lies on this disk alone or daemons share it.
 //!
 //! Invariant: completions are called once each, in the order of the appends, and with `Ok` only when the record is in
 //! the log for good. After an append has failed, every later one fails until [`EventLog::resume`].
@@ -26,8 +26,8 @@ pub trait EventLog: Send + Sync {
     /// Bytes of records after the position of the newest saved snapshot, roughly.
     fn tail_bytes(&self) -> u64;
 
-    /// Whether what is known here of the log is all of it, because nobody else may be writing it. Who asks how far its
-    /// sequence is durable is answered only then.
+    /// Whether the log that this daemon knows is complete, because nobody else may be writing it. A producer that asks
+    /// how far its sequence is durable gets a reply only then.
     fn is_current(&self) -> bool {
         true
     }

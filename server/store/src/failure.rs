@@ -1,7 +1,7 @@
 //! Why a file or the index cannot be read: it is damaged, or the disk or the machine refuses.
 //!
-//! Invariant: an error of the disk or the machine is no damage. What the file holds may be sound then, and it stays
-//! where it is. sled keeps of some errors only their text, in which the number of the system's error stands.
+//! Invariant: an error of the disk or the machine is no damage. The contents of the file may be sound then, and it
+//! stays where it is. sled keeps of some errors only their text, which contains the number of the system's error.
 
 use std::{fmt, io};
 
@@ -10,9 +10,9 @@ use crate::error::{is_of_machine, is_of_machine_code, is_shortage};
 /// Why a file or the index cannot be read or written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum ReadFailure {
-    /// What it holds is damaged.
+    /// The contents are damaged.
     Damaged(String),
-    /// The disk or the machine returned an error, which tells nothing of what it holds.
+    /// The disk or the machine returned an error, which gives no information about the contents.
     Disk(String),
 }
 
@@ -29,7 +29,7 @@ fn code_in(text: &str) -> Option<i32> {
 }
 
 impl ReadFailure {
-    /// By the text of an error, or of a panic of sled.
+    /// Returns the failure by the text of an error, or of a panic of sled.
     pub(crate) fn of_text(text: String) -> ReadFailure {
         if code_in(&text).is_some_and(is_of_machine_code) {
             ReadFailure::Disk(text)

@@ -31,7 +31,7 @@ use crate::{
 /// Records that were set aside.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fork {
-    /// Its name, which [`Store::fork_events`] and [`Store::remove_fork`] take.
+    /// Name of the fork, which [`Store::fork_events`] and [`Store::remove_fork`] take.
     pub name: String,
     /// Position of its first record.
     pub first: u64,
@@ -65,7 +65,7 @@ fn damaged(file: &Path, reason: &str) -> OpenError {
     OpenError::Damaged { file: file.to_owned(), reason: reason.to_owned() }
 }
 
-/// Where the log is cut: segment, offset and the frames behind.
+/// The place where the log is cut: segment, offset and the frames behind.
 struct Cut {
     segment: u64,
     offset: u64,
@@ -114,7 +114,7 @@ fn read_fork(disk: &dyn Disk, file: &Path) -> Result<(Vec<(u64, Event)>, usize),
     Ok((events, groups))
 }
 
-/// What a file holds that was set aside.
+/// Reads the fork in a file that was set aside.
 pub(crate) fn fork_in(disk: &dyn Disk, folder: &Path, name: String) -> Result<Fork, OpenError> {
     let (events, groups) = read_fork(disk, &folder.join(&name))?;
     let position = |event: Option<&(u64, Event)>| event.map_or(0, |&(position, _)| position);
@@ -197,7 +197,7 @@ impl Store {
         let header = SegmentHeader { map: map.0, first_position: first, chain: cut.chain };
         let mut bytes = header.encode().to_vec();
         bytes.extend_from_slice(&cut.frames);
-        // A log may fork more than once at one position. What was cut off there before stays.
+        // A log may fork more than once at one position. Records that were cut off there before stay.
         let known = disk.list(&folder).map_err(store_io(&folder))?;
         let mut number = 1;
         let name = loop {
@@ -232,7 +232,7 @@ impl Store {
         read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork)).map(|(events, _)| events)
     }
 
-    /// Removes a fork. What the map lacks of it is lost.
+    /// Removes a fork. Records of the fork that the map lacks are lost.
     ///
     /// # Errors
     /// [`StoreError`].

@@ -61,18 +61,18 @@ impl WrittenGroup {
 /// Why a group of another daemon is not appended.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ForeignGroupError {
-    /// It does not begin where this log ends.
+    /// The group does not begin where this log ends.
     #[error("the group follows record {}, and this log ends with record {} or has another record there", .group.position, .end.position)]
     NotNext {
-        /// Where the group begins.
+        /// The beginning of the group.
         group: LogPoint,
-        /// Where this log ends.
+        /// The end of this log.
         end: LogPoint,
     },
-    /// It cannot be read.
+    /// The group cannot be read.
     #[error("the group is not valid: {0}")]
     Invalid(&'static str),
-    /// It cannot be written.
+    /// The group cannot be written.
     #[error(transparent)]
     Append(#[from] AppendError),
 }
@@ -168,7 +168,7 @@ impl GroupLog {
     /// Writes events as a group behind the end, not durably.
     ///
     /// # Errors
-    /// Why they have failed; their completions have heard of it.
+    /// The reason why the appends have failed; their completions have received it.
     pub fn write(&self, events: Vec<QueuedEvent>) -> Result<WrittenGroup, AppendError> {
         let before = self.end();
         let group = self.committer.begin(events.into_iter().map(|event| event.0).collect())?;

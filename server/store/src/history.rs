@@ -79,9 +79,9 @@ pub(crate) fn is_file(name: &str) -> bool {
 pub struct HistorySizes {
     /// Files.
     pub files: u64,
-    /// Of named states.
+    /// Bytes of named states.
     pub state_bytes: u64,
-    /// Of the grid.
+    /// Bytes of the grid.
     pub grid_bytes: u64,
     /// The newest generation with a file of named states; 0 without one.
     pub newest_generation: u64,
@@ -367,7 +367,7 @@ impl History {
     fn create_folder(&self) -> io::Result<()> {
         match self.disk.create_folder(&self.folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
-            // Also if the folder existed: its name may not be durable yet.
+            // The folder above is synced even if the folder existed: its name may not be durable yet.
             _ => self.disk.sync_folder(self.folder.parent().unwrap_or(Path::new("."))),
         }
     }

@@ -30,7 +30,7 @@ use rows::{Kind, Sum};
 
 use crate::failure::ReadFailure;
 
-/// How often an index that is still locked is tried again at a start, and the pause between two tries.
+/// Number of tries to open an index that is still locked at a start, and the pause between two tries.
 const LOCK_TRIES: usize = 250;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
@@ -44,7 +44,7 @@ const RETRY_MAX: Duration = Duration::from_secs(60);
 pub(crate) enum Unopened {
     /// Somebody has it open, which is no damage.
     InUse,
-    /// It is damaged, or the disk or the machine refuses.
+    /// The index is damaged, or the disk or the machine refuses.
     Failed(ReadFailure),
 }
 
@@ -69,7 +69,7 @@ impl From<sled::Error> for Unopened {
 impl From<Unopened> for ReadFailure {
     fn from(unopened: Unopened) -> Self {
         match unopened {
-            // Whoever has it will end.
+            // The process that has the index open will end.
             Unopened::InUse => ReadFailure::Disk("it is still in use".to_owned()),
             Unopened::Failed(failure) => failure,
         }
@@ -83,7 +83,7 @@ pub(crate) struct IndexInUse;
 /// An index that was damaged: its new path, and why.
 pub(crate) type ReplacedIndex = (PathBuf, String);
 
-/// When an index that failed is tried again.
+/// The time at which an index that failed is tried again.
 #[derive(Clone, Copy)]
 struct Retry {
     at: Instant,
@@ -93,7 +93,7 @@ struct Retry {
 /// The open database.
 struct Trees {
     db: sled::Db,
-    /// In the order of [`Kind::ALL`].
+    /// The rows, in the order of [`Kind::ALL`].
     rows: [sled::Tree; Kind::ALL.len()],
     generations: sled::Tree,
     folder: PathBuf,
@@ -102,7 +102,7 @@ struct Trees {
 /// The rows of a map in the database.
 #[derive(Default)]
 struct KnownRows {
-    /// By [`Kind`], a sum for each item.
+    /// The items by [`Kind`], a sum for each item.
     items: [Vec<Sum>; Kind::ALL.len()],
     /// The models of tiles that were written, by tile.
     models: Vec<Weak<TileModel>>,
@@ -129,16 +129,16 @@ impl KnownRows {
 /// Whether the rows of a map are those of its newest snapshot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum RowsState {
-    /// They are whole, and of the snapshot at this log position and this generation.
+    /// The rows are whole, and of the snapshot at this log position and this generation.
     Whole {
         /// Log position of the snapshot.
         position: u64,
         /// Number of the generation.
         generation: u64,
     },
-    /// There are none.
+    /// There are no rows.
     Nothing,
-    /// They were not completely written.
+    /// The rows were not completely written.
     Unfinished,
 }
 
@@ -148,7 +148,7 @@ pub(crate) struct Index {
     cache_bytes: u64,
     /// `None` after a failure: the store continues without it, until it is opened again.
     trees: Option<Trees>,
-    /// Why there are none.
+    /// The reason why there are no trees.
     failure: Option<ReadFailure>,
     retry: Option<Retry>,
     /// Maps whose rows are all known.
@@ -266,7 +266,7 @@ impl Index {
         }
     }
 
-    /// Opens the index as it is, to look at it.
+    /// Opens the index as it is, to check it.
     pub(crate) fn inspect(folder: PathBuf, cache_bytes: u64) -> Result<Index, Unopened> {
         let trees = Some(Trees::open(&folder, cache_bytes, LOCK_TRIES)?);
         Ok(Index { trees, ..Index::closed(folder, cache_bytes) })
@@ -323,7 +323,7 @@ impl Index {
         let _ = panics::catch(move || drop(trees));
     }
 
-    /// What the rows of a map publish; `None` where they are not whole. Changes nothing.
+    /// Reads the published data of a map from its rows; `None` where they are not whole. Changes nothing.
     pub(crate) fn read(&self, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, ReadFailure> {
         let Some(trees) = &self.trees else { return Ok(None) };
         panics::catch(|| read::read(trees, map, spec))?

@@ -27,7 +27,7 @@ pub(crate) enum Unlisted {
 }
 
 impl Unlisted {
-    /// What is wrong with the file.
+    /// Describes what is wrong with the file.
     pub(crate) fn problem(self) -> String {
         match self {
             Unlisted::Absent => "it is missing".to_owned(),
@@ -36,7 +36,7 @@ impl Unlisted {
         }
     }
 
-    /// What is wrong with a list that is lost; an error of the disk tells nothing of the list.
+    /// Describes what is wrong with a list that is lost; an error of the disk gives no information about the list.
     pub(crate) fn lost(self) -> io::Result<String> {
         match self {
             Unlisted::Io(error) => Err(error),
@@ -44,7 +44,7 @@ impl Unlisted {
         }
     }
 
-    /// Why a change of the list fails.
+    /// The error with which a change of the list fails.
     pub(crate) fn changing(self, file: &Path) -> StoreError {
         match self.lost() {
             Ok(problem) => StoreError::ListLost { file: file.to_owned(), problem },
@@ -52,7 +52,7 @@ impl Unlisted {
         }
     }
 
-    /// Why what needs the list is not opened.
+    /// The error with which data that needs the list is not opened.
     pub(crate) fn opening(self, file: &Path) -> OpenError {
         match self.lost() {
             Ok(problem) => OpenError::ListLost { file: file.to_owned(), problem },

@@ -1,7 +1,7 @@
 //! One process at a time: a lock on the data directory itself and on the file `LOCK` in it, which names its owner.
 //!
 //! Invariant: the kernel frees the locks when the process ends, however it ends; the process number in the file is only
-//! for information. Who removes `LOCK` does not free the directory.
+//! for information. Removing `LOCK` does not free the directory.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -22,7 +22,7 @@ const FILE_NAME: &str = "LOCK";
 /// The lock, held until it is dropped.
 pub(crate) struct Lock {
     path: PathBuf,
-    /// Open as long as the lock is held; none where a look found none.
+    /// Open as long as the lock is held; none where `look` found none.
     file: Option<File>,
     _directory: File,
 }
@@ -33,7 +33,7 @@ impl Lock {
         Lock::new(directory, true)
     }
 
-    /// Takes the lock of a data directory to look at it; makes no file where there is none.
+    /// Takes the lock of a data directory to read it; makes no file where there is none.
     pub(crate) fn look(directory: &Path) -> Result<Lock, OpenError> {
         Lock::new(directory, false)
     }
@@ -49,7 +49,7 @@ impl Lock {
         if flock(&folder, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
             return Err(locked());
         }
-        // Not truncated: until the lock is held, another process owns the file.
+        // The file is not truncated: until the lock is held, another process owns it.
         let file = OpenOptions::new().create(is_daemon).truncate(false).read(true).write(true).open(&path);
         let mut file = match file {
             Err(error) if error.kind() == io::ErrorKind::NotFound && !is_daemon => None,

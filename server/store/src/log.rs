@@ -44,7 +44,7 @@ pub(crate) struct Log {
 pub(crate) struct Progress {
     /// Bytes since the position from which the log was read at opening.
     pub(crate) bytes: u64,
-    /// How many of these the newest snapshot covers.
+    /// The part of these bytes that the newest snapshot covers.
     pub(crate) covered: u64,
     /// Starts of updates that no snapshot covers yet: position, and bytes up to and including it.
     pub(crate) updates: Vec<(u64, u64)>,
@@ -69,7 +69,7 @@ impl Log {
         epoch <= self.failed_epoch.load(Ordering::Acquire)
     }
 
-    /// From now on all appends fail until [`MapLog::resume`].
+    /// Makes all appends fail until [`MapLog::resume`].
     pub(crate) fn fail(&self) {
         self.failed_epoch.store(self.epoch.load(Ordering::Acquire), Ordering::Release);
     }

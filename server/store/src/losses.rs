@@ -1,4 +1,4 @@
-//! What was lost, and accepted as lost by an operator: the file `LOSSES` of a data directory.
+//! The losses that an operator has accepted: the file `LOSSES` of a data directory.
 //!
 //! Invariant: a loss is recorded before anything is changed that hides it, and never forgotten.
 

@@ -1,4 +1,4 @@
-//! What a store is opened with.
+//! The options with which a store is opened.
 //!
 //! Invariant: the defaults are valid; only the identity of a new store must be given.
 
@@ -13,7 +13,7 @@ pub struct StoreOptions {
     pub tile_cache_bytes: u64,
     /// Memory for the sums of each map's states; further sums are read from a checkpoint.
     pub spectrum_cache_bytes: u64,
-    /// How many checkpoints of a map are kept, at least 1.
+    /// Number of checkpoints of a map that are kept, at least 1.
     pub checkpoints_kept: usize,
     /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
     pub new_store_id: String,

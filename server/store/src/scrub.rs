@@ -1,7 +1,7 @@
 //! Reading the files of a store in use again, at a bounded rate, so that damage is found before a file is needed.
 //!
 //! Invariant: nothing is changed. A file that is deleted on purpose meanwhile is no damage, and neither is a read that
-//! fails because the machine lacks descriptors or memory. What is told was read twice.
+//! fails because the machine lacks descriptors or memory. Damage that is reported was read twice.
 
 use std::{
     collections::BTreeSet,
@@ -42,8 +42,8 @@ struct Round<'a> {
 }
 
 impl Store {
-    /// Reads the logs, checkpoints and history files of all maps and the index. What is damaged or missing is told by
-    /// [`Store::trouble`] as soon as it is found, until a later round finds it sound. Gives the number of files that
+    /// Reads the logs, checkpoints and history files of all maps and the index. [`Store::trouble`] reports damaged and
+    /// missing files as soon as they are found, until a later round finds them sound. Returns the number of files that
     /// are damaged; `None` if the round was ended.
     pub fn scrub(&self, pace: Pace<'_>) -> Option<usize> {
         let mut round = Round { store: self.inner(), pace, damaged: BTreeSet::new(), has_ended: false };
@@ -70,8 +70,8 @@ impl Round<'_> {
         Ok(())
     }
 
-    /// Checks a file with `check`, again if that fails, and tells the result. A file that cannot be opened for want of
-    /// descriptors or memory is left for the next round.
+    /// Checks a file with `check`, again if that fails, and records the result. A file that cannot be opened for want
+    /// of descriptors or memory is left for the next round.
     fn look(&mut self, file: &Path, check: impl Fn(&mut Self) -> Result<(), String>) -> Result<(), Ended> {
         let opened = self.store.disk.read(file).map(drop);
         if opened.as_ref().is_err_and(is_shortage) {
@@ -164,7 +164,7 @@ impl Round<'_> {
         Ok(())
     }
 
-    /// Takes back what was told of a file that was deleted on purpose while it was read.
+    /// Withdraws the report of a file that was deleted on purpose while it was read.
     fn forget_unless(&mut self, file: &Path, must_exist: bool) {
         if !must_exist {
             let file = file.strip_prefix(&self.store.directory).unwrap_or(file);
@@ -258,7 +258,7 @@ impl Round<'_> {
         Ok(())
     }
 
-    /// Reads the rows of a map in the index. What sled keeps in memory is not read from the disk.
+    /// Reads the rows of a map in the index. Pages that sled keeps in memory are not read from the disk.
     fn index(&mut self, map: MapId) -> Result<(), Ended> {
         let (_, bytes) = self.store.index().size_of(map.0);
         if !self.pace(bytes) {

@@ -48,7 +48,7 @@ pub fn open(disk: &SimulatedDisk, options: StoreOptions) -> Result<Store, OpenEr
 /// Makes the data directory of a new store.
 ///
 /// # Panics
-/// Where the disk has one, or a fault.
+/// If the disk has a data directory already, or a fault.
 pub fn make_directory(disk: &disk::SimulatedDisk) {
     for folder in [DIRECTORY, "/data/maps"] {
         disk.create_folder(Path::new(folder)).expect("created");

@@ -62,11 +62,11 @@ pub(crate) struct OpenStore {
     store_id: String,
     is_new: bool,
     repairs: Vec<Repair>,
-    /// Held for a look-up, and while a map is created so that no two maps get the same number.
+    /// The maps. The lock is held for a look-up, and while a map is created so that no two maps get the same number.
     maps: Mutex<Maps>,
-    /// Held while the index is read or written: by opening, saving and deleting maps, never by appends.
+    /// The lock is held while the index is read or written: by opening, saving and deleting maps, never by appends.
     index: Mutex<Index>,
-    /// Held while a backup is made.
+    /// The lock is held while a backup is made.
     pub(crate) backup: Mutex<()>,
     pub(crate) committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -85,7 +85,7 @@ pub(crate) struct Maps {
 pub(crate) struct MapEntry {
     spec: Arc<MapSpec>,
     pub(crate) log: Option<Arc<Log>>,
-    /// Held while the map is opened, saved, copied or deleted.
+    /// The lock is held while the map is opened, saved, copied or deleted.
     pub(crate) busy: Arc<Mutex<()>>,
 }
 
@@ -100,7 +100,7 @@ impl MapEntry {
     }
 }
 
-/// Where the snapshot of an opened map comes from.
+/// The source of the snapshot of an opened map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Source {
     /// The map is new and empty.
@@ -112,7 +112,7 @@ pub enum Source {
 }
 
 impl Source {
-    /// Its name, for the log.
+    /// Name of the source, for the log.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -129,11 +129,11 @@ pub struct OpenedMap {
     pub log: MapLog,
     /// The map as of its newest snapshot.
     pub snapshot: Option<MapSnapshot>,
-    /// Where the snapshot comes from.
+    /// The source of the snapshot.
     pub source: Source,
     /// The events from the snapshot's `replay_from` to the end of the log.
     pub replay: Replay,
-    /// What was repaired.
+    /// The repairs that were made.
     pub repairs: Vec<Repair>,
 }
 
@@ -268,8 +268,8 @@ impl Store {
         &self.inner.store_id
     }
 
-    /// What the newest generation of a map publishes, from the index; `None` where it is not there or not whole. Of a
-    /// grid, the models of tiles are read when they are asked for. Does not wait for the log.
+    /// Reads the published data of the newest generation of a map from the index; `None` where it is not there or not
+    /// whole. The models of a grid's tiles are read when they are needed. Does not wait for the log.
     #[must_use]
     pub fn published(&self, map: MapId, spec: &MapSpec) -> Option<MapSnapshot> {
         let read = self.inner.index().read(map.0, spec);
@@ -285,16 +285,16 @@ impl Store {
         self.inner.is_new
     }
 
-    /// What was lost, and accepted as lost, in the order of its acceptance.
+    /// The losses that were accepted, in the order of their acceptance.
     ///
     /// # Errors
-    /// [`OpenError`] where the file of it is damaged.
+    /// [`OpenError`] where the file of the losses is damaged.
     pub fn losses(&self) -> Result<Vec<Loss>, OpenError> {
         losses::read(&*self.inner.disk, &self.inner.directory)
     }
 
-    /// Looks whether the folder and the logs are still those that are held; if not, nothing is appended any more. Gives
-    /// the reason why appends have stopped, if they have. Waits for the disk.
+    /// Checks whether the folder and the logs are still those that are held; if not, nothing is appended any more.
+    /// Returns the reason why appends have stopped, if they have. Waits for the disk.
     pub fn verify(&self) -> Option<AppendError> {
         let inner = &*self.inner;
         inner.committer.check_lock();
@@ -309,17 +309,17 @@ impl Store {
         inner.committer.poison()
     }
 
-    /// What was repaired when the store was opened.
+    /// The repairs that were made when the store was opened.
     pub fn repairs(&self) -> &[Repair] {
         &self.inner.repairs
     }
 
-    /// What is wrong with the storage now. Does not wait for the disk.
+    /// The present trouble of the storage. Does not wait for the disk.
     pub fn trouble(&self) -> Vec<Trouble> {
         self.inner.committer.watch.trouble()
     }
 
-    /// What is wrong with the list of all maps, if it is lost: there may have been other maps than those that exist.
+    /// The trouble with the list of all maps, if it is lost: there may have been other maps than those that exist.
     pub fn lost_map_list(&self) -> Option<Trouble> {
         let is_it =
             |trouble: &Trouble| matches!(trouble, Trouble::ListLost { file, .. } if *file == Path::new(MAPS_FILE));
@@ -379,7 +379,7 @@ impl Store {
         catalogue::read_list(&*inner.disk, &inner.directory)?;
         if inner.maps().set_aside.remove(&map).is_some() {
             match catalogue::mark_deleted(&*inner.disk, &inner.directory, map) {
-                // Its folder may be what is missing.
+                // The folder of the map may be what is missing.
                 Err(StoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
                 marked => marked?,
             }

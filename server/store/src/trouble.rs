@@ -1,7 +1,7 @@
-//! What is wrong with the storage now: a full disk, lists that are lost, saves that fail, an index that cannot be
+//! The present trouble of the storage: a full disk, lists that are lost, saves that fail, an index that cannot be
 //! written, files that are damaged.
 //!
-//! Invariant: looking never waits for the disk. What has ended is no longer told.
+//! Invariant: reading the trouble never waits for the disk. Trouble that has ended is no longer reported.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -28,21 +28,21 @@ pub enum Trouble {
         /// Why.
         reason: String,
     },
-    /// There is no index for this reason. It is tried again; a start takes longer meanwhile.
+    /// There is no index for this reason. The daemon tries again; a start takes longer meanwhile.
     NoIndex(String),
-    /// A list of what must exist was lost before the start, and it is not proven that all is there. What it covers is
-    /// refused.
+    /// A list of what must exist was lost before the start, and it is not proven that all is there. Requests for the
+    /// objects that it covers are refused.
     ListLost {
         /// The file, within the data directory.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the damage.
         problem: String,
     },
-    /// A file is damaged or missing, as the last look at it has found.
+    /// A file is damaged or missing, as the last read of it has found.
     Damaged {
         /// The file, within the data directory.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the damage.
         problem: String,
     },
 }
@@ -126,12 +126,12 @@ impl Watch {
         damaged.retain(|file, _| files.contains(file));
     }
 
-    /// Files below a folder are gone for good, and none of those that must exist: nothing more is told of them.
+    /// Files below a folder are gone for good, and none of those that must exist: they are no longer reported.
     pub(crate) fn forget(&self, is_forgotten: impl Fn(&Path) -> bool) {
         self.damaged.lock().unwrap_or_else(PoisonError::into_inner).retain(|file, _| !is_forgotten(file));
     }
 
-    /// What is wrong now.
+    /// The present trouble.
     pub(crate) fn trouble(&self) -> Vec<Trouble> {
         let full_since = *self.full_since.lock().unwrap_or_else(PoisonError::into_inner);
         let is_full = full_since.is_some_and(|since| since.elapsed() < FULL_FOR);

@@ -1,5 +1,5 @@
 //! Requests of the wire: counted while they are encoded, decoded, and converted to the domain, as the daemon does it.
-//! The first byte says which request the rest is.
+//! The first byte selects the kind of the request.
 #![no_main]
 
 use prost::Message;

@@ -71,7 +71,7 @@ impl Watch {
 
 impl Drop for Watch {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -161,7 +161,7 @@ fn misuse_of_anomalies_is_told() {
     cli::tidemap_reading(&door.daemon, ["observe", "forgetful", "-"], rows).table();
     door.tidemap(["anomalies", "forgetful", "door", "--from", "0", "--to", "9", "--model", "auto"])
         .fails(1, &["keeps no history", "retention"]);
-    // What was unusual is kept without history.
+    // Unusual runs are kept without history.
     assert!(door.tidemap(["anomalies", "forgetful", "--from", "0", "--to", "9"]).table().rows.is_empty());
 }
 

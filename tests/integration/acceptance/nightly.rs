@@ -151,7 +151,7 @@ fn a_recording_is_learned_alike_at_any_speed_and_in_any_parts() {
     assert!(expected[0].contains("calibrated"), "{}", expected[0]);
     observe_parts(&door.daemon, "door", &all, &[], &["--nightly"]);
     observe_parts(&door.daemon, "once", &all, &[], &[]);
-    // In the middle of days.
+    // The parts end in the middle of days.
     observe_parts(&door.daemon, "calls", &parts(&rows, 10_000), &[], &["--nightly"]);
     // Updates make room after some days.
     observe_parts(&small, "early", &all, &[], &[]);

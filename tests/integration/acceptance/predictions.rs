@@ -51,7 +51,7 @@ fn predictions_follow_from_what_was_learned() {
     let model = door.tidemap(["model", "show", "door", "door"]).table();
     let (mean, components) = (model.numbers("mean")[0], model.numbers("period_secs"));
     let (amplitudes, phases) = (model.numbers("amplitude"), model.numbers("phase_rad"));
-    // In summer, where local time is an hour ahead: 2016-04-06 to 08.
+    // In summer, when local time is UTC plus one hour: 2016-04-06 to 08.
     let args = ["predict", "door", "door", "--from", "2016-04-06T00:00:00Z", "--to", "1460073600", "--step", "1h"];
     for order in [0, 1, 2, 15] {
         let text = order.to_string();

@@ -79,7 +79,7 @@ fn from_the_same_readings_it_answers_as_the_spectral_model_and_recalls_what_that
         .map(|model| door.tidemap(args.iter().chain(&["--model", model]).copied()).table().rows.len());
     println!("anomalies: {uniform} by uniform, {spectral} by spectral");
     assert!(uniform > 0 && uniform.abs_diff(spectral) * 20 < spectral, "{uniform} {spectral}");
-    // All of them at once, for a comparison.
+    // All readings are observed at once, for a comparison.
     let week = door.file("week1.csv");
     let table = door.tidemap(["evaluate", "regular", week.to_str().expect("text"), "--models", "uniform"]).table();
     assert_eq!((table.column("model"), table.rows.len()), (vec!["uniform"], 1));

@@ -221,7 +221,7 @@ async fn refused_rows_are_corrected_without_doubling_the_others() {
         assert_eq!(observe(&last, &[]).table().rows[0][1], accepted);
     }
     assert_eq!(observations(&daemon).await, 4);
-    // Who corrects the file itself is told what to do.
+    // A user who corrects the file itself gets advice what to do.
     fs::write(&file, format!("{HEADER}1451865960,door,1\n1451866000,door,1\n")).expect("a file");
     observe(&file, &[]).fails(1, &["nothing was sent", "a.csv --replace", "--label a-2.csv"]);
     // The proposed label is free.

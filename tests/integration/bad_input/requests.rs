@@ -300,7 +300,7 @@ async fn who_reads_no_replies_does_not_stop_the_queries_of_others() {
         times_nanos: (0..times as i64).map(|hour| hour * 3_600_000_000_000).collect(),
         ..Default::default()
     };
-    // Sixteen clients ask for what takes long, and read nothing.
+    // Sixteen clients send requests that take long, and read nothing.
     let mut unread = Vec::new();
     for _ in 0..16 {
         let mut queries = QueryServiceClient::new(daemon.client().requests());

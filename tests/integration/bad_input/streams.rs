@@ -166,7 +166,7 @@ async fn numbers_again_with_other_content_end_the_stream_and_change_nothing() {
     let words = ["observations 1 to 3", "number new observations from 5"];
     check(stream.end().await, Some(GoodbyeReason::DataMismatch), Code::FailedPrecondition, &words);
     goes_on(&daemon, 4).await;
-    // What comes again after a kill is compared too, whether it has new observations behind it or not.
+    // Observations that come again after a kill are compared too, whether new ones follow them or not.
     daemon.kill();
     let daemon = Launch::on(data.path()).start();
     let mut stream = opened(&daemon).await;

@@ -1,4 +1,4 @@
-//! `tidemapd check-engine`: what it says of sound servers, of those that must not be used, and of none.
+//! `tidemapd check-engine`: its output for sound servers, for servers that must not be used, and for no server.
 
 use std::{
     io::{Read as _, Write as _},
@@ -58,7 +58,7 @@ async fn check_engine_refuses_servers_that_acknowledge_before_they_write() {
     assert!(String::from_utf8_lossy(&output.stdout).contains("acknowledges before it writes"), "{output:?}");
 }
 
-/// Says that it has version 2.9.10, and answers pings only.
+/// Reports the version 2.9.10, and replies to pings only.
 fn pretend(mut connection: TcpStream) -> std::io::Result<()> {
     connection.write_all(
         b"INFO {\"server_id\":\"A\",\"server_name\":\"old\",\"version\":\"2.9.10\",\"proto\":1,\"headers\":true,\

@@ -1,6 +1,6 @@
-//! What `/metrics` of the members of a cluster say.
+//! The metrics of `/metrics` of the members of a cluster.
 //!
-//! Invariant: skipped with the reason where there is no nats-server. Every deadline only detects what hangs.
+//! Invariant: skipped with the reason where there is no nats-server. Every deadline only detects hangs.
 
 use super::*;
 

@@ -18,7 +18,7 @@ fn change_checkpoint(data: &Path) {
     store.close();
 }
 
-/// How often a daemon has found that its updates make other bits.
+/// Number of updates of a daemon that made other bits, as the daemon has counted them.
 fn divergences(daemon: &Daemon) -> u64 {
     let metrics = web::request(&daemon.http, "GET", "/metrics", &[], b"").text();
     let mut lines = metrics.lines().filter_map(|line| line.strip_prefix("tidemap_cluster_divergence_total "));
@@ -54,14 +54,14 @@ async fn a_member_that_makes_other_bits_is_counted_and_takes_a_copy_of_the_write
     assert_eq!(tidemap(first, ["update", "office"]).table().rows.len(), 1);
     eventually(first, "cluster maps", |_| divergences(members.of(follower)) == 1);
     assert_eq!(divergences(first), 0, "the writer is not compared with itself");
-    // What it had is set aside.
+    // The follower's old map is set aside.
     let is_replaced = |_: &Outcome| {
         let maps = fs::read_dir(folder.join(follower).join("maps")).expect("a folder of maps");
         maps.flatten().any(|entry| entry.file_name().to_string_lossy().ends_with(".replaced-1"))
     };
     eventually(first, "cluster maps", is_replaced);
     eventually(first, "cluster verify office", |outcome| outcome.code == Some(0));
-    // From then on it makes the writer's bits.
+    // From then on the follower makes the writer's bits.
     members.learn(folder, 2);
     assert_eq!(divergences(members.of(follower)), 1);
 }

@@ -1,4 +1,4 @@
-//! What `deploy/` holds for clusters of daemons: the daemon and nats-server take the settings, and the parts of a
+//! The files of `deploy/` for clusters of daemons: the daemon and nats-server take the settings, and the parts of a
 //! deployment name each other as they are.
 //!
 //! Invariant: nothing is started. nats-server only checks its settings; where it is missing, that is skipped.
@@ -40,7 +40,7 @@ fn environment_of_container(container: &Value, pod: &str) -> Environment {
                 Some(key) => passwords()[&format!("{}_PASSWORD", key.to_uppercase())].clone(),
                 None => {
                     let text = variable["value"].as_str().expect("a value").to_owned();
-                    // As Kubernetes does it: what stands before in the list.
+                    // Variables are replaced as by Kubernetes: a variable refers to those before it in the list.
                     known.iter().fold(text, |text, (name, value)| text.replace(&format!("$({name})"), value))
                 }
             },
@@ -85,7 +85,7 @@ fn check_engine(file: &str, environment: &Environment) {
     }
 }
 
-/// What a daemon makes of its file and its environment says who and where it is.
+/// Checks that the settings which a daemon reads from its file and its environment contain its name and address.
 fn check_member(taken: &str, name: &str, address: &str, servers: &[String]) {
     let servers = servers.iter().map(|server| format!("\"nats://tidemap:t1@{server}:4222\"")).collect::<Vec<_>>();
     for line in [
@@ -238,7 +238,7 @@ fn in_kubernetes_daemons_and_engines_take_their_settings_and_find_each_other() {
     let address = "https://tidemap-cluster-2.tidemap-members.maps.svc:7435";
     check_member(&taken, "tidemap-cluster-2", address, &servers);
     check_mounted(&taken, daemon);
-    // The files are where the pods look for them.
+    // The files are in the place where the pods search for them.
     let kustomization = documents("kubernetes/cluster/kustomization.yaml").remove(0);
     for map in kustomization["configMapGenerator"].as_array().expect("config maps") {
         let file = map["files"][0].as_str().expect("a file");

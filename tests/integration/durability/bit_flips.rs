@@ -25,7 +25,7 @@ use super::create_map;
 
 const PRODUCERS: usize = 3;
 
-/// What the log reports of an end that was cut off.
+/// The reports of the log about an end that was cut off.
 const IS_CUT: [&str; 2] = ["had not been written whole", "records that were there may have been acknowledged"];
 
 /// The kind of a file; bits are flipped equally often in each kind.
@@ -78,7 +78,7 @@ fn flip(file: &Path, random: &mut SmallRng) -> u64 {
     bit
 }
 
-/// What happens to a file.
+/// The harm done to a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Harm {
     FlippedBit,
@@ -131,7 +131,7 @@ async fn states(client: &Client) -> Vec<(String, String)> {
     all
 }
 
-/// The history of every state, one line each; an error is a line that says so.
+/// The history of every state, one line each; an error is a line with its text.
 async fn histories(daemon: &Daemon) -> Vec<String> {
     let client = daemon.client();
     let mut lines = Vec::new();
@@ -144,7 +144,7 @@ async fn histories(daemon: &Daemon) -> Vec<String> {
     lines
 }
 
-/// A sound folder, and what a daemon answers from it.
+/// A sound folder, and the answers of a daemon that opens it.
 struct Sound {
     data: PathBuf,
     producers: Vec<String>,
@@ -153,12 +153,12 @@ struct Sound {
     by_kind: BTreeMap<&'static str, Vec<PathBuf>>,
 }
 
-/// What became of a damage.
+/// The outcome of a damage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Outcome {
     Harmless,
     Refused,
-    /// The daemon serves, and says what is gone.
+    /// The daemon serves, and reports the lost data.
     Reported,
 }
 
@@ -218,8 +218,8 @@ impl Sound {
         let (answers, histories) = (answers::all(&daemon, &self.producers).await, histories(&daemon).await);
         let log = daemon.stop_in_order();
         assert!(!log.contains("panicked"), "{what}: {log}");
-        // A cut or zeroed end of the log cannot be told from a write that a power cut has torn: it is cut off, in
-        // words.
+        // A cut or zeroed end of the log cannot be distinguished from a write that a power cut has torn: it is cut off,
+        // and the daemon reports it.
         let is_torn = kind == "log" && how != Harm::FlippedBit && IS_CUT.iter().any(|words| log.contains(words));
         if is_torn {
             return Outcome::Reported;

@@ -21,7 +21,7 @@ use tidemap_tests::{
 };
 
 const START_SECS: i64 = 1_736_121_600;
-/// What is erased, by a name that stands nowhere else.
+/// Name of the erased state, which occurs nowhere else.
 const ERASED: &str = "anna-90417";
 /// Kills that have to be inside an erasure, without the variable.
 const KILLS: u32 = 4;
@@ -46,7 +46,7 @@ fn fill(daemon: &Daemon) {
     }
 }
 
-/// All that is known of the states that stay, to the last bit.
+/// All answers about the states that stay, to the last bit.
 async fn others(daemon: &Daemon) -> (Vec<u64>, String) {
     let times: Vec<i64> = (0..200).map(|slot| (START_SECS + slot * 9_011) * 1_000_000_000).collect();
     let states = vec!["door".to_owned(), "lamp".to_owned()];
@@ -83,7 +83,7 @@ fn wait_until_inside(maps: &Path) -> bool {
     false
 }
 
-/// How long an erasure is inside, from its order to its end.
+/// Duration of the inner part of an erasure, from its order to its end.
 async fn time_inside(launch: &Launch, data: &Path) -> Duration {
     let (daemon, maps) = (launch.start(), data.join("maps"));
     daemon.client().erase("home", ERASED).await.expect("ordered");
@@ -128,7 +128,7 @@ async fn durability_a_kill_inside_an_erasure_is_completed_by_the_next_start() {
         daemon.kill();
         let was_inside = is_inside(&maps);
         let daemon = launch.start();
-        // It was ordered on the disk, so that it is whole whatever was done of it.
+        // The order is on the disk, so that the erasure becomes whole however far it had come.
         assert!(!is_listed(&daemon).await, "round {round}: the order is forgotten");
         let holds = |file: &Path| {
             let bytes = fs::read(data.join(file)).unwrap_or_default();

@@ -22,7 +22,7 @@ fn launch(data: &Path) -> Launch {
     Launch::on(data).setting("segment_bytes", 1 << 16)
 }
 
-/// How rounds of kills differ.
+/// The parameters of rounds of kills.
 #[derive(Clone, Copy)]
 pub(crate) struct Rounds {
     pub count: u32,

@@ -83,7 +83,7 @@ async fn durability_every_open_stream_hears_the_reason_before_the_daemon_ends() 
     while let Some(ended) = streams.join_next().await {
         let ended = ended.expect("a stream");
         let reason = ended.goodbye.as_ref().map(|goodbye| goodbye.reason());
-        // Who had nothing under way at that moment hears that the daemon stops.
+        // A client that had nothing under way at that moment receives that the daemon stops.
         assert!(matches!(reason, Some(GoodbyeReason::Storage | GoodbyeReason::Shutdown)), "{ended:?}");
     }
 }
@@ -102,7 +102,7 @@ async fn durability_every_acknowledgement_has_its_sync() {
     let opened = RawStream::open(&daemon.grpc, hello(&producer_name(0), &oracle.map)).await;
     let (mut stream, _) = opened.expect("a Welcome");
     let mut acknowledged = 0;
-    // One batch at a time, so that no two share a sync.
+    // One batch is sent at a time, so that no two share a sync.
     let ended = loop {
         let next = acknowledged + 1;
         stream.batch(next, feed_columns(&[oracle.feed.observation(0, next)], oracle.feed.states, next == 1)).await;

@@ -1,4 +1,4 @@
-//! What a producer observed is withdrawn, or an interval: the map is as if it had never been observed.
+//! The observations of a producer, or of an interval, are withdrawn: the map is as if they had never been made.
 
 use tidemap_client::{Client, updates::Erasure};
 use tidemap_tests::tokens::Tokens;
@@ -156,7 +156,7 @@ async fn a_corrected_file_is_sent_in_place_of_the_one_before() {
     assert_eq!(observed(), 10.0);
     let again = send(&[]).table();
     assert_eq!((again.number("accepted"), again.number("duplicate")), (0.0, 10.0));
-    // What only follows at the end continues.
+    // Rows that only follow at the end continue the sequence.
     fs::write(&file, rows("1") + &format!("{},door,1\n", START_SECS + 90_000)).expect("written");
     let more = send(&[]).table();
     assert_eq!((more.number("accepted"), more.number("duplicate"), observed()), (1.0, 10.0, 11.0));
@@ -211,7 +211,7 @@ async fn a_part_that_cannot_be_erased_is_refused_in_words() {
         assert_eq!(error.code(), Some(code), "{what:?}: {error}");
         assert!(error.to_string().contains(words), "{error}");
     }
-    // Its history was never kept.
+    // The history of the map was never kept.
     let job = scoped.erase_part("short", lost()).await.expect("ordered");
     let mut watch = scoped.watch_job(job.id).await.expect("known");
     let mut last = job;

@@ -1,6 +1,6 @@
-//! Whether a block of commands showed what its page says.
+//! Whether the output of a block of commands is the one on its page.
 
-/// Stands for any text in a line, or for any number of lines.
+/// Matches any text in a line, or any number of lines.
 const ANYTHING: char = '…';
 
 /// Compares line by line; only the number of spaces between words may differ.
@@ -34,8 +34,8 @@ fn line_matches(expected: &str, shown: &str) -> bool {
     rest.ends_with(end)
 }
 
-/// What a page should say instead, with its dots: lines that stand for any number of lines stay if the lines around
-/// them are found, and a word that ends in dots is as long as before.
+/// The output that a page should have instead, with its dots: lines that match any number of lines stay if the lines
+/// around them are found, and a word that ends in dots is as long as before.
 pub(crate) fn renewed(expected: &str, shown: &str) -> String {
     let (old, new): (Vec<&str>, Vec<&str>) = (expected.lines().collect(), shown.lines().collect());
     let is_gap = |line: &str| line.trim().chars().eq([ANYTHING]);
@@ -65,7 +65,7 @@ fn key(line: &str) -> Vec<&str> {
     line.split_whitespace().filter(|word| !word.contains(['.', ANYTHING]) && *word != "0").collect()
 }
 
-/// The word that says what a line is about, where its columns have changed.
+/// The word that names the subject of a line, where its columns have changed.
 fn first(line: &str) -> Option<&str> {
     line.split_whitespace().next()
 }

@@ -9,7 +9,7 @@ pub(crate) struct Block {
     pub line: usize,
     /// The commands.
     pub script: String,
-    /// What the page says that they show.
+    /// The output that the page states.
     pub output: Option<String>,
     /// The lines of the output, from 0.
     pub output_lines: Range<usize>,

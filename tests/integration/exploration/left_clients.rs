@@ -19,7 +19,7 @@ use tokio::{
 const ENDS_WITHIN: Duration = Duration::from_secs(3);
 const BEGINS_WITHIN: Duration = Duration::from_secs(30);
 
-/// How many requests compute.
+/// Number of requests that compute.
 async fn computing(daemon: &Daemon) -> u64 {
     let mut socket = TcpStream::connect(&daemon.http).await.expect("the port is open");
     socket.write_all(b"GET /metrics HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n").await.expect("a request");
@@ -40,7 +40,7 @@ async fn wait_until(daemon: &Daemon, is_so: bool, what: &str) {
     tokio::time::timeout(within, waited).await.unwrap_or_else(|_| panic!("{what}"));
 }
 
-/// A client asks, and leaves as soon as the daemon computes.
+/// A client sends a request, and leaves as soon as the daemon computes.
 async fn leave<T: Send + 'static>(daemon: &Daemon, what: &str, call: impl Future<Output = T> + Send + 'static) {
     let call = tokio::spawn(call);
     wait_until(daemon, true, &format!("{what} does not begin")).await;
@@ -51,7 +51,7 @@ async fn leave<T: Send + 'static>(daemon: &Daemon, what: &str, call: impl Future
     wait_until(daemon, false, &format!("{what} goes on without its client")).await;
 }
 
-/// All replies.
+/// Reads all replies.
 async fn read<T>(replies: Result<tonic::Response<tonic::Streaming<T>>, tonic::Status>) {
     let mut replies = replies.expect("accepted").into_inner();
     while replies.message().await.expect("a reply").is_some() {}

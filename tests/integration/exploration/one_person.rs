@@ -1,6 +1,6 @@
 //! Rooms that hold one person, who is in exactly one of them: `slot` and `day` with `--exactly-one`.
 //!
-//! Invariant: where the person is follows from the hour alone; the robot looks into one room at a time.
+//! Invariant: the place of the person follows from the hour alone; the robot observes one room at a time.
 
 use std::fmt::Write as _;
 
@@ -26,7 +26,7 @@ fn room_at(hour: i64) -> &'static str {
     }
 }
 
-/// Four weeks of looks, one every half-hour, into the rooms in an irregular order.
+/// Four weeks of observations, one every half-hour, of the rooms in an irregular order.
 fn looks() -> String {
     let mut csv = "time,state,value\n".to_owned();
     for half in 0..28 * 48 {
@@ -55,7 +55,8 @@ fn one_look_informs_about_all_rooms() {
     tidemap(&daemon, ["update", "flat"]).table();
     let monday = START_SECS + 28 * DAY_SECS;
 
-    // An hour after the last look the person is as likely in the kitchen as elsewhere; a look is worth something.
+    // An hour after the last observation the person is as likely in the kitchen as elsewhere; an observation is worth
+    // something.
     let breakfast = monday + 7 * 3_600 + 900;
     let bits = |more: &[&str]| slot(&daemon, breakfast, more).table().numbers("information_bits")[0];
     assert!(bits(&["--exactly-one"]) > 0.05);
@@ -66,7 +67,7 @@ fn one_look_informs_about_all_rooms() {
     // The slot of a minute later has the same; its length may be given.
     assert!(bits(&["--exactly-one", "--slot", "30m"]) < 0.01);
 
-    // The day: looks are worth most where the person moves; at night there are none.
+    // The day: observations are worth most where the person moves; at night there are none.
     let args = ["day", "flat", "--date", "2024-01-29", "--strategy", "greedy", "--explore", "8", "--exactly-one"];
     let day = tidemap(&daemon, args).table();
     let (slots, rooms) = (day.numbers("slot"), day.column("location"));

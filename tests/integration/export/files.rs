@@ -1,6 +1,6 @@
 //! Recordings in MCAP, and maps and masks for Nav2.
 //!
-//! Invariant: images are read as the documentation of Nav2's map server says.
+//! Invariant: images are read as the documentation of Nav2's map server defines.
 
 use std::{collections::BTreeMap, fs, path::Path};
 

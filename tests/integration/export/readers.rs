@@ -2,7 +2,7 @@
 //! definitions of messages in the file, and `rosbags`, which has definitions of its own. They are installed beside the
 //! build by the first run.
 //!
-//! Invariant: without Python or the network a reader is skipped, which the test says; only the readers' answers are
+//! Invariant: without Python or the network a reader is skipped, which the test prints; only the readers' answers are
 //! compared.
 
 use std::process::Command;

@@ -1,7 +1,7 @@
 //! Replies of the HTTP port that nobody reads, on as many connections as the port has.
 //!
 //! Invariant: they take a bounded part of the daemon's memory, and others are answered meanwhile. Memory is printed;
-//! what is asserted leaves room for a build that is not optimised.
+//! the asserted limits leave room for a build that is not optimised.
 
 use std::fs;
 

@@ -45,7 +45,7 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
         let cut = file("cut.bt", &whole[..length]);
         observe(&daemon, &cut, &["--at", AT]).fails(1, &["cut.bt"]);
     }
-    // The message says where a tree is cut off within a node.
+    // The message contains the offset where a tree is cut off within a node.
     let at = (whole.len() - 2).to_string();
     observe(&daemon, &file("cut.bt", &whole[..whole.len() - 1]), &["--at", AT]).fails(1, &["cut.bt", &at]);
     let longer = [&whole[..], &[0, 0]].concat();

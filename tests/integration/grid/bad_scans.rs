@@ -132,7 +132,7 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
     occupied[0] = 0b1000;
     stream.say(Message::Scans(message(1, &[0, 0, 0, 1, 0, 0], vec![shows(&occupied)]))).await;
     assert_eq!(stream.acknowledged(1).await.expect("taken"), []);
-    // One by one, and then all in one message with a good scan at its end.
+    // The scans are sent one by one, and then all in one message with a good scan at its end.
     let mut sequence = 1;
     for (content, reason, words) in wrong() {
         sequence += 1;

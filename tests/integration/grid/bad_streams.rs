@@ -17,7 +17,7 @@ use super::{
     new_map, summary,
 };
 
-/// What ends a stream, and the expected words of the message.
+/// The end of a stream, and the expected words of the message.
 struct Ending(GoodbyeReason, Code, Vec<&'static str>);
 
 fn malformed(words: &[&'static str]) -> Ending {

@@ -1,4 +1,4 @@
-//! Cells whose change alarm rings: `grid changed`.
+//! Cells whose change alarm is on: `grid changed`.
 //!
 //! Invariant: what is listed is what `model show` reports for each cell, before and after a kill.
 

@@ -148,7 +148,7 @@ async fn grid_without_history_says_so_and_names_the_option() {
         let (code, message) = status(&refused);
         assert_eq!(code, Code::FailedPrecondition);
         assert!(message.contains(MAP) && message.contains("grid retention"), "{message}");
-        // Named states keep theirs unless told otherwise.
+        // Named states keep theirs unless it is set otherwise.
         let door = recalled(&client, "door", 0, i64::MAX).await.expect("kept");
         assert_eq!(door, [(film.time(0), 1.0)]);
     }

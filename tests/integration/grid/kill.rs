@@ -156,8 +156,8 @@ async fn durability_grid_survives_kills_while_scans_stream_and_updates_run() {
         let acknowledged = producer.progress().durable_sequence;
         let exit = daemon.kill();
         assert!(!exit.stderr.contains("panicked"), "{exit}");
-        // Sometimes a new producer object continues where the daemon says; otherwise the same one reconnects by
-        // itself.
+        // Sometimes a new producer object continues at the number in the daemon's Welcome; otherwise the same one
+        // reconnects by itself.
         let kept = (kill % 3 == 1).then_some(producer);
         daemon = launch.start();
         settled(&daemon.client()).await;
@@ -206,7 +206,7 @@ async fn grid_history_that_was_imported_waits_for_the_night_after_a_restart_too(
         let mut camera = super::producer(&daemon, "camera").await;
         send(&mut camera, &film, scans).await;
         camera.flush().await.expect("durable");
-        // It is queued behind other due updates.
+        // The update is queued behind other due updates.
         run_update(&daemon.client(), MAP, Some(midnight)).await;
         let jobs = daemon.client().jobs().await.expect("jobs");
         let others: Vec<_> = jobs.iter().filter(|job| job.cause != JobCause::Request).collect();
@@ -274,7 +274,7 @@ async fn durability_grid_update_that_was_killed_is_run_again() {
     until("the update to run again", || again.stderr().contains(REPEATED)).await;
     again.kill();
 
-    // Answers are those from before the update until it has ended, whether it still runs or not.
+    // Until the update has ended, replies come from the generation before it, whether it still runs or not.
     let daemon = launch(data.path()).start();
     let early = predicted(&daemon, film.time(1), model(ModelKind::Latest, None)).await;
     assert_eq!(early.tiles.len(), expected.grids[0].tiles.len());

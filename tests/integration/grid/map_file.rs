@@ -1,7 +1,7 @@
 //! A map written as PGM and YAML, read by an independent reader, cell by cell: `pyrobosim` of the Python package
 //! index, installed beside the build by the first run, which takes about a minute.
 //!
-//! Invariant: without Python or the network the test is skipped and says so; only the reader's own answers are
+//! Invariant: without Python or the network the test is skipped and prints so; only the reader's own answers are
 //! compared.
 
 use std::{
@@ -58,7 +58,7 @@ pub(crate) fn python_with(package: &str) -> Result<PathBuf, String> {
         let _ = fs::remove_dir_all(&unfinished);
         return Err(reason);
     }
-    // It gets its name only when it is complete. Another run may have been faster.
+    // The environment gets its name only when it is complete. Another run may have been faster.
     if fs::rename(&unfinished, &ready).is_err() {
         let _ = fs::remove_dir_all(&unfinished);
     }

@@ -117,7 +117,7 @@ fn written(daemon: &Daemon, folder: &Path, more: &[&str]) -> ([usize; 2], String
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_comes_out_as_it_came_in() {
     let (data, daemon) = hall().await;
-    // Unknown cells all around, so that no known cell says how large the map is.
+    // Unknown cells all around, so that no known cell determines the size of the map.
     let pixels = [205, 205, 205, 205, 205, 0, 254, 205];
     let file = [saved(data.path(), "hall", "trinary", pixels)];
     let at = ["--at", "2025-03-10T09:00:00Z"];

@@ -175,11 +175,11 @@ impl Naive {
         p.clamp(0.0, 1.0)
     }
 
-    /// The answer by default: near the mean at hours that were hardly observed.
+    /// The default prediction: near the mean at hours that were hardly observed.
     pub(crate) fn answer(&self, utc_nanos: i64) -> f64 {
         let hour = hour(utc_nanos);
         let looks = self.looks_that_speak(kind_of_day(hour / 24), hour as usize % 24);
-        // As it is stored: in sixteenths of a doubling.
+        // Rounds as the daemon stores it: in sixteenths of a doubling.
         let looks = ((((1.0 + 4.0 * looks).log2() * 16.0).min(254.0).floor() / 16.0).exp2() - 1.0) / 4.0;
         let kept =
             self.mean + looks * looks / (looks * looks + 0.25) * (self.probability(self.order, utc_nanos) - self.mean);
@@ -187,7 +187,7 @@ impl Naive {
         kept.max(self.mean * of_mean).min(1.0 - (1.0 - self.mean) * of_mean)
     }
 
-    /// The looks at an hour, and what those nearby and of the other kind of day tell of it.
+    /// The number of bins of an hour, with the evidence from bins of nearby hours and of the other kind of day.
     fn looks_that_speak(&self, kind: usize, hour: usize) -> f64 {
         let mut speak = self.hours[kind][hour];
         for (other_kind, hours) in self.hours.iter().enumerate() {
@@ -204,7 +204,7 @@ impl Naive {
         speak
     }
 
-    /// The answer by default with the last reading blended in.
+    /// The default prediction with the last reading blended in.
     pub(crate) fn persistent(&self, utc_nanos: i64) -> f64 {
         let p = self.answer(utc_nanos);
         match self.last {

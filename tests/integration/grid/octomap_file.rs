@@ -1,7 +1,7 @@
 //! A map written as an OctoMap, read by OctoMap itself, cell by cell: `pyoctomap` of the Python package index,
 //! installed beside the build by the first run.
 //!
-//! Invariant: without Python or the network the test is skipped and says so; only OctoMap's own answers are compared.
+//! Invariant: without Python or the network the test is skipped and prints so; only OctoMap's own answers are compared.
 
 use std::{collections::BTreeMap, process::Command};
 

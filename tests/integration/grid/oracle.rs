@@ -115,7 +115,7 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
         orders += usize::from(expected.order > 0);
         assert_eq!(said.order as usize, expected.order, "the order of {name}, by errors {:?}", expected.errors);
         for (found, expected) in said.order_errors.iter().zip(expected.errors) {
-            // The daemon predicts the scans of one look at their mean time.
+            // The daemon predicts the scans of one half-hour bin at their mean time.
             let apart = (found - expected).abs() / (1.0 + expected);
             assert!(apart <= 1e-3, "an error of {name} is {found}, and not {expected}");
         }

@@ -35,7 +35,7 @@ fn cloud(xyz_m: &[f32]) -> Scan {
     Scan::Cloud(PointCloud { pose: turned(), xyz_m: xyz_m.to_vec(), max_range_m: 5.0, ..PointCloud::default() })
 }
 
-/// In the middle of cell (200, 0, 0), unturned: ahead, left, behind, right.
+/// In the middle of cell (200, 0, 0), unturned: front, left, back, right.
 fn ranges(ranges_m: &[f32]) -> Scan {
     Scan::Ranges(RangeScan {
         pose: Isometry3::translation(100.25, 0.25, 0.25),
@@ -73,7 +73,7 @@ fn line(grid: &WholeGrid, from: [i32; 3], axis: usize, step: i32, cells: usize) 
 async fn grid_of_rays_tells_free_occupied_and_unknown_apart() {
     let (_data, daemon) = office(coarse()).await;
     let mut robot = producer(&daemon, "robot").await;
-    // Three metres ahead; ten up, of which the range limit leaves five; and points that are not numbers.
+    // Three metres to the front; ten up, of which the range limit leaves five; and points that are not numbers.
     sent(&mut robot, NOON_NANOS, cloud(&[3.0, 0.0, 0.0, 0.0, 0.0, 10.0, f32::NAN, 1.0, 1.0])).await;
     sent(&mut robot, NOON_NANOS + 1, ranges(&[2.0, f32::INFINITY, f32::NAN, 1.0])).await;
     let client = daemon.client();

@@ -49,7 +49,7 @@ fn a_mapping_gives_states_kinds_values_and_what_reports_are() {
     let line = format!("import home {} --mapping {} --producer robot-1", file.display(), mapping.display());
     let import = words(&daemon, &line);
     let table = import.table();
-    // Of 24 messages, half have a mode that means something; people and celsius always do.
+    // Half of the 24 messages have a mode with a meaning; people and celsius always have one.
     assert_eq!(counts(&table, "/doors"), [12 + 24 + 24, 12, 0]);
     assert_eq!(counts(&table, "/activity"), [16, 8, 0]);
     assert!(

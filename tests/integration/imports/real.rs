@@ -1,6 +1,6 @@
 //! Recordings of real robots, as an independent program has counted them.
 //!
-//! Invariant: the recordings lie beside the repository; without them the tests are skipped and say so.
+//! Invariant: the recordings lie beside the repository; without them the tests are skipped and print so.
 
 use tidemap_tests::{daemon::Daemon, recordings};
 

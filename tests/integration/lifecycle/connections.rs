@@ -45,7 +45,7 @@ async fn silent_connections_make_room_and_end() {
     let (_, metrics) = get(&daemon, "/metrics").await;
     assert!(metric(&metrics, "tidemap_connections_displaced{port=\"grpc\"}") >= Some(1.0), "{metrics}");
     assert!(is_closed(&mut held[0], Duration::from_secs(1)), "the oldest made room");
-    // A connection that says hello and then nothing has to make a request in time too.
+    // A connection that sends hello and then nothing has to make a request in time too.
     let mut greeting = silent(&daemon);
     greeting.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0").expect("sent");
     assert!(is_closed(&mut greeting, Duration::from_secs(20)));

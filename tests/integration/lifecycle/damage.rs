@@ -1,5 +1,5 @@
-//! Damage under a running daemon: it is found in the background, told by readiness, metrics and the replies that need
-//! the file, and stops nothing.
+//! Damage under a running daemon: it is found in the background, reported by readiness, metrics and the replies that
+//! need the file, and stops nothing.
 
 use std::{
     fs,
@@ -25,7 +25,7 @@ fn get(daemon: &Daemon, path: &str) -> (u16, String) {
     (answer.code, answer.text())
 }
 
-/// Waits until readiness says it, or no longer.
+/// Waits until readiness reports these words, or no longer does.
 async fn until_told(daemon: &Daemon, words: &str, is_told: bool) -> String {
     for _ in 0..600 {
         let (code, text) = get(daemon, "/readyz");

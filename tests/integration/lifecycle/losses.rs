@@ -1,5 +1,5 @@
-//! What is lost is told by the log, readiness, metrics, the health service and `tidemapd check`, with what to do, and
-//! nothing hides it; and no second daemon ever writes to a folder that is in use.
+//! Losses are reported by the log, readiness, metrics, the health service and `tidemapd check`, with advice what to do,
+//! and nothing hides them; and no second daemon ever writes to a folder that is in use.
 
 use std::{fs, path::Path, time::Duration};
 
@@ -174,7 +174,7 @@ async fn a_missing_checkpoint_index_or_list_of_checkpoints_loses_nothing_and_is_
     assert_eq!(check(data.path(), &[]).0, Some(0));
 }
 
-/// What a daemon says that ends because its storage is no longer its own.
+/// The output of a daemon that ends because its storage is no longer its own.
 fn ended_for(exit: &Exit, words: &[&str]) {
     assert_eq!(exit.code(), Some(74), "{exit}");
     for word in words {

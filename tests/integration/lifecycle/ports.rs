@@ -1,4 +1,4 @@
-//! What the two ports show to operators: health, reflection, metrics.
+//! The interfaces of the two ports for operators: health, reflection, metrics.
 
 use tempfile::tempdir;
 use tidemap_client::maps::NewMap;

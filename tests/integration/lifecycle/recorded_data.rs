@@ -3,7 +3,7 @@
 //! `data_of_format_1` holds a map with states of every kind, a grid with two sensors, a topological map with
 //! traversals, locations, visits, a checkpoint and pending observations; `answers_of_format_1.txt` holds commands and
 //! what they printed. Never write the folder again: a difference means that users' data would change. Where an answer
-//! changes on purpose, write that answer again, and say so in the changelog.
+//! changes on purpose, write that answer again, and state so in the changelog.
 //!
 //! Invariant: names, texts and counts are equal, numbers up to rounding.
 

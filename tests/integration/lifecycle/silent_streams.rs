@@ -48,7 +48,7 @@ async fn impatient(client: &Client) -> Result<Producer, ProducerError> {
     Producer::open(client, options).await
 }
 
-/// A way to the daemon that hangs while it is told to: bytes are neither lost nor passed on, and nothing is closed.
+/// A way to the daemon that hangs while the flag is set: bytes are neither lost nor passed on, and nothing is closed.
 async fn hanging_way(daemon: &Daemon) -> (Client, Arc<AtomicBool>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let client = Client::new(&listener.local_addr().expect("an address").to_string()).expect("an address");
@@ -84,16 +84,16 @@ async fn a_robot_that_restarts_takes_over_from_a_connection_that_hangs() {
     let mut old = impatient(&way).await.expect("the first");
     old.send("door", 1_000, 1.0).await.expect("sent");
     old.flush().await.expect("durable");
-    // While the old one answers, it keeps its key.
+    // While the old stream replies, it keeps its key.
     let refused = impatient(&daemon.client()).await.expect_err("in use");
     assert!(matches!(&refused, ProducerError::KeyInUse(text) if text.contains("robot")), "{refused}");
     old.send("door", 2_000, 1.0).await.expect("sent");
     old.flush().await.expect("the old one is not harmed by that");
 
-    // Its last answer counts for a moment.
+    // The last reply of the old stream counts for a moment.
     tokio::time::sleep(Duration::from_millis(200)).await;
     hangs.store(true, Ordering::SeqCst);
-    // What is on the way when the connection hangs comes too late.
+    // Observations that are on the way when the connection hangs come too late.
     old.send("door", 3_000, 1.0).await.expect("sent");
     let mut new = impatient(&daemon.client()).await.expect("the old one does not answer");
     assert_eq!(new.progress().durable_sequence, 2);

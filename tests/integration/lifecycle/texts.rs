@@ -17,7 +17,7 @@ fn run(program: &Path, args: &[&str]) -> Output {
     command.args(args).output().expect("the program runs")
 }
 
-/// What Bash completes the last of these words to.
+/// The words to which Bash completes the last of these words.
 fn completed(program: &Path, name: &str, words: &[&str]) -> String {
     let script = run(program, &["completions", "bash"]);
     assert!(script.status.success());

@@ -1,6 +1,6 @@
 //! The operations, applied to the daemon and to the naive model.
 //!
-//! Invariant: acknowledged observations are in the model. Of those not acknowledged before a kill, the
+//! Invariant: acknowledged observations are in the model. From the observations not acknowledged before a kill, the
 //! model takes those that the daemon reports after the restart, which must be a whole number of batches.
 
 use std::{collections::BTreeMap, process::Command};
@@ -238,7 +238,7 @@ impl World {
         published
     }
 
-    /// The index of a stopped daemon publishes what the daemon answered with.
+    /// The index of a stopped daemon publishes the predictions of the daemon.
     fn verify_index(&self, name: &str, states: &[[String; 3]]) {
         let printed = Command::new(binaries::tidemapd()).arg("index").arg(self.data.path()).arg(name).output();
         let printed = String::from_utf8(printed.expect("runs").stdout).expect("text");
@@ -318,7 +318,7 @@ impl World {
                 (ModelKind::Spectral, Some(15)),
                 (ModelKind::Auto, None),
             ] {
-                // Models with similar errors answer together; the naive map has the spectral model only.
+                // Models with similar errors predict together; the naive map has the spectral model only.
                 let is_alone = model.model_errors.iter().all(|(other, error)| {
                     other.kind == ModelKind::Spectral || *error > 2.0 * lowest_error(&model.model_errors)
                 });
@@ -328,7 +328,7 @@ impl World {
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
                 let mut runs = client.predict(name, vec![state.clone()], times.clone(), selector);
                 let run = runs.next().await.expect("the state is there").expect("predictions");
-                // After enough days an ensemble answers.
+                // After enough days an ensemble predicts.
                 if kind == ModelKind::Auto && run.answered_by.is_some_and(|by| by.kind != ModelKind::Spectral) {
                     continue;
                 }

@@ -137,7 +137,7 @@ async fn a_certificate_that_clients_would_not_take_never_replaces_one_that_they_
     };
     let (names, other) = (["localhost", "127.0.0.1"], Authority::new("theirs"));
     let signed = |names: &[&str], purpose| authority.sign_for(Validity::Years, names, purpose);
-    // The file of the certificate last: the pair fits together when it is looked at.
+    // The file of the certificate is written last: the pair fits together when the daemon reads it.
     for (next, words) in [
         (authority.sign(Validity::Ended), "has expired"),
         (authority.sign(Validity::NotYet), "is not valid before 2120"),

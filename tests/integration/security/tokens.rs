@@ -27,7 +27,7 @@ use super::eventually;
 
 /// A refusal comes within this time, also on a busy machine.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
-/// A stream that says nothing for so long was let in.
+/// A stream that has not ended after this time was let in.
 const LET_IN_AFTER: Duration = Duration::from_millis(500);
 
 fn launch(folder: &Path, tokens: &Tokens) -> Launch {
@@ -42,7 +42,7 @@ async fn create_map(client: &Client, name: &str) {
     client.create_map(NewMap { name: name.to_owned(), ..NewMap::default() }).await.expect("a new map");
 }
 
-/// The roles that may call a method: what the documentation says, written a second time.
+/// The roles that may call a method, from the documentation, written a second time.
 fn roles_of(method: &str) -> &'static [&'static str] {
     match method {
         "GetMap" | "ListMaps" | "ListStates" | "ListLocations" | "ListNoGo" | "GetJob" | "ListJobs" | "WatchJob"
@@ -54,7 +54,7 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate"
         | "ForgetProducer" => &["operator", "admin"],
         "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" | "ReadFork" => &["admin"],
-        // They act on all maps, and none of these tokens is for all.
+        // These methods act on all maps, and none of these tokens is for all.
         "CreateBackup" | "Drain" | "ForgetMember" => &[],
         // Daemons of a cluster know a secret in place of a token.
         "FetchMap" => &[],
@@ -80,7 +80,7 @@ async fn every_method_is_for_its_roles_and_the_maps_of_the_token() {
             let connection = client(&daemon, token).requests();
             let is_for_role = roles_of(&method.name).contains(role);
             let within = if is_for_role { LET_IN_AFTER } else { ANSWER_WITHIN };
-            // What creates and deletes does so to a map of its own.
+            // Methods that create and delete do so to a map of their own.
             let map = if method.name == "DeleteMap" { "office-gone" } else { "office" };
             let code = call(connection.clone(), &method.path, method.request(map), within).await;
             let is_refused = matches!(code, Code::PermissionDenied | Code::Unauthenticated | Code::Unimplemented);
@@ -332,7 +332,7 @@ async fn secrets_are_in_no_log_error_or_metric() {
         assert_eq!(shown.code, Some(1));
         errors.push(shown.stderr);
     }
-    // Whole tokens by mistake, where an id or a file is asked for.
+    // Whole tokens by mistake, where an id or a file is expected.
     errors.push(String::from_utf8_lossy(&tokens.run(&["revoke", &good]).stderr).into_owned());
     fs::write(&tokens.path, format!("[[token]]\nid = \"{good}\"\nsha256 = \"{good}\"\nroles = []\nmaps = []\n"))
         .expect("written");

@@ -26,7 +26,7 @@ use tidemap_tests::{
 
 use super::grpc_web;
 
-/// As RViz and Nav2 show maps.
+/// The colour in which RViz and Nav2 show free cells.
 const FREE: [u8; 3] = [255; 3];
 const OCCUPIED: [u8; 3] = [0; 3];
 const UNKNOWN: [u8; 3] = [205; 3];

@@ -225,7 +225,7 @@ fn a_file_beyond_the_limit_is_refused_and_0_takes_none() {
     refused(&look(&daemon, &asked, &[]), 413, "LIMIT", &["max_upload_bytes"]);
     let huge = look(&daemon, &format!("{path}?bytes={}", u64::MAX), &[]);
     refused(&huge, 413, "LIMIT", &["max_upload_bytes"]);
-    // Without a length that is said before, it is counted as it comes.
+    // Without an announced length, the file is counted as it comes.
     let mut socket = chunked(&daemon, path);
     for part in bag.chunks(1000) {
         let _ = write!(socket, "{:x}\r\n", part.len()).and_then(|()| socket.write_all(part));
@@ -287,7 +287,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     eventually("the file is gone", || is_empty(data.path()));
     assert_eq!(imported(&send(&daemon, path, &[], &door(4))).1, 0);
 
-    // Who leaves while the import runs stops it; the same file again goes on.
+    // A client that leaves while the import runs stops it; the same file again goes on.
     let large = door(60_000);
     let answer = running(&daemon, "large/recordings/door.bag", &large);
     drop(answer);

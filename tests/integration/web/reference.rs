@@ -106,7 +106,7 @@ fn the_example_in_javascript_runs() {
     assert!(lines[1].starts_with("2025-01-28T10:00:00Z: 0.") && lines[2].starts_with("2025-01-28T22:00:00Z: 0."));
 }
 
-/// Go is not run here: its example asks what the one in JavaScript asks.
+/// Go is not run here: its example sends the requests of the one in JavaScript.
 #[test]
 fn the_example_in_go_calls_what_there_is() {
     let data = tempdir().expect("a folder");

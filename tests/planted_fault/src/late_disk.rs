@@ -1,5 +1,5 @@
-//! A disk that says "durable" before it has written anything: a process that stops within [`LATE_BY`] loses what was
-//! acknowledged.
+//! A disk that reports "durable" before it has written anything: a process that stops within [`LATE_BY`] loses
+//! acknowledged data.
 //!
 //! Invariant: late writes are done in their order, and before anything else is done with the same disk.
 
@@ -140,7 +140,7 @@ impl DiskFile for LateFile {
         let appended = lock(&log).appended;
         thread::spawn(move || {
             thread::sleep(LATE_BY);
-            // Nobody hears of an error: the record has been acknowledged.
+            // Nobody receives an error: the record has been acknowledged.
             let _ = lock(&log).write_until(appended);
         });
         Ok(())

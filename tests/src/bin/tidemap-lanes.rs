@@ -1,4 +1,4 @@
-//! Producers that stream to a cluster while something else harms it, and the checks of what the cluster holds then.
+//! Producers that stream to a cluster while something else harms it, and the checks of the cluster's data then.
 //!
 //! `tidemap-lanes MAP RECORD PRODUCERS SEED ADDRESS...` reads commands from stdin, one a line, and writes what happens
 //! to stdout, one JSON object a line:
@@ -7,7 +7,7 @@
 //! - `pause`: they stop when everything is acknowledged.
 //! - `check N new|all`: the N-th daemon has everything that was acknowledged, once.
 //! - `sums N`: the checksums of all producers, by the writer of the map.
-//! - `update N`: the N-th daemon is asked for an update up to after everything that was sent.
+//! - `update N`: requests an update of the N-th daemon up to after everything that was sent.
 //! - `alone ADDRESS`: a daemon that is alone gets the same, and learns it.
 //! - `compare N ADDRESS`: the models of the N-th daemon are those of the daemon that is alone.
 //! - `checked`: later checks with `new` begin here.
@@ -32,11 +32,11 @@ use tokio::sync::mpsc;
 
 /// Each producer's states.
 const STATES: u32 = 4;
-/// What is sent in a row of five minutes, so that a day of updates comes soon.
+/// Time between two observations: five minutes, so that a day of updates comes soon.
 const STEP_NANOS: i64 = 300_000_000_000;
 const SAVE_EVERY: Duration = Duration::from_secs(1);
 
-/// What is kept for the next run.
+/// The data kept for the next run.
 struct Record {
     file: PathBuf,
     checked: Vec<u64>,
@@ -74,7 +74,7 @@ struct Kit {
 }
 
 impl Kit {
-    /// What is wrong, in words; an answer that did not come is wrong too, until it comes.
+    /// The faults found, in words; an answer that did not come is a fault too, until it comes.
     fn wrong(found: Result<Vec<String>, Error>) -> Vec<String> {
         found.unwrap_or_else(|error| vec![format!("no answer: {error}")])
     }

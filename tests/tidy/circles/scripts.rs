@@ -6,7 +6,7 @@
 use super::{Crate, Names};
 use crate::{files, read};
 
-/// The Python package: a module for each file. What `__init__.py` imports it exports.
+/// The Python package: a module for each file. `__init__.py` exports all that it imports.
 pub(super) fn python() -> Crate {
     const FOLDER: &str = "client/python/python/tidemap/";
     let module = |path: &str| {
@@ -52,7 +52,7 @@ fn names(path: &str) -> Names {
     path.split('/').filter(|name| !name.is_empty()).map(str::to_owned).collect()
 }
 
-/// What a Python file imports of the package: modules, and names of modules.
+/// The names that a Python file imports of the package: modules, and names of modules.
 fn python_imports(text: &str) -> Vec<Names> {
     let mut found = Vec::new();
     let mut lines = text.lines().map(str::trim);

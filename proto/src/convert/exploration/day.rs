@@ -1,6 +1,6 @@
 //! Plans of a day: questions and replies.
 //!
-//! Invariant: what is checked here needs no map; how long the day is, and what the map has, is checked by who answers.
+//! Invariant: checks here need no map; the handler of the request checks how long the day is, and what the map has.
 
 use tidemap_map::name::StateName;
 use tidemap_model::{LocalDay, selector::ModelSelector};
@@ -25,7 +25,7 @@ use crate::{
     v1,
 };
 
-/// What the visits of a day go to.
+/// The targets that the visits of a day observe.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DayTargets {
     /// Locations, or all of the map if none are named.
@@ -34,9 +34,9 @@ pub enum DayTargets {
     ExactlyOne(Vec<StateName>),
     /// Views from viewpoints.
     Views {
-        /// At least one.
+        /// The viewpoints, at least one.
         viewpoints: Vec<Viewpoint>,
-        /// The sensor that looks.
+        /// The sensor of the robot.
         sensor: Sensor,
         /// How views are computed from predictions.
         scene: SceneOptions,
@@ -52,19 +52,19 @@ pub struct DayQuestion {
     pub day: LocalDay,
     /// Length of a slot, nanoseconds.
     pub slot_nanos: i64,
-    /// How many slots are used.
+    /// Number of slots to use.
     pub budget: Budget,
-    /// How they are selected.
+    /// How the slots are selected.
     pub strategy: Strategy,
     /// The model; one that cells have, for views and tours.
     pub selector: ModelSelector,
-    /// What a look at a state is worth.
+    /// The worth of an observation of a state.
     pub worth: LookWorth,
     /// Weight of information against the task, 0 to 1; 1: there is no task.
     pub exploration_weight: f64,
     /// The state of the task at each target; empty without a task.
     pub task_states: Vec<String>,
-    /// What the visits go to.
+    /// The targets that the visits observe.
     pub targets: DayTargets,
     /// Seed of what is random.
     pub seed: u64,
@@ -79,7 +79,7 @@ pub struct DayTasks {
     pub day: LocalDay,
     /// Name of the node where the robot is at first; `None`: that of the charger.
     pub start_node: Option<String>,
-    /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
+    /// Time from which on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
     pub ready_nanos: Option<i64>,
 }
 

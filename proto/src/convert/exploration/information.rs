@@ -1,6 +1,6 @@
-//! Questions about information: of states, locations and regions, of views, and reports of visits.
+//! Questions about information (of states, locations, regions and views), and reports of visits.
 //!
-//! Invariant: what is checked here needs no map; whether the map has what is named is checked by who answers.
+//! Invariant: checks here need no map; the handler of the request checks whether the map has the named objects.
 
 use tidemap_grid::index::CellBox;
 use tidemap_map::{
@@ -25,7 +25,7 @@ use crate::{
     v1,
 };
 
-/// What information is asked of.
+/// The targets whose information is requested.
 #[derive(Clone, Debug, PartialEq)]
 pub enum InformationTargets {
     /// All observed cells of a region together.
@@ -44,11 +44,11 @@ pub enum InformationTargets {
 pub struct InformationQuestion {
     /// Nanoseconds UTC; at least one.
     pub times_nanos: Vec<i64>,
-    /// The model; one that cells have, if a region is asked for.
+    /// The model; one that cells have, if a region is requested.
     pub selector: ModelSelector,
     /// The certainty after an observation.
     pub certainty: Certainty,
-    /// At least one.
+    /// The targets, at least one.
     pub targets: InformationTargets,
 }
 
@@ -86,11 +86,11 @@ pub struct ViewsQuestion {
     pub times_nanos: Vec<i64>,
     /// A model that cells have.
     pub selector: ModelSelector,
-    /// At least one.
+    /// The viewpoints, at least one.
     pub viewpoints: Vec<Viewpoint>,
     /// How views are computed from predictions.
     pub scene: SceneOptions,
-    /// The sensor that looks.
+    /// The sensor of the robot.
     pub sensor: Sensor,
 }
 
@@ -118,9 +118,9 @@ pub fn views_from_wire(request: v1::EvaluateViewsRequest) -> Result<ViewsQuestio
 /// A report of where a robot was sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisitReport {
-    /// Where it was sent: x, y in metres.
+    /// Goal of the robot: x, y in metres.
     pub at_m: [f64; 2],
-    /// Whether it arrived.
+    /// Whether the robot arrived.
     pub reached: bool,
     /// When, nanoseconds UTC; `None`: now.
     pub utc_nanos: Option<i64>,

@@ -1,7 +1,7 @@
 //! Plans of one slot: questions.
 //!
-//! Invariant: what is checked here needs no map; whether the planned location is one of the given ones is checked by
-//! who answers.
+//! Invariant: checks here need no map; the handler of the request checks whether the planned location is one of the
+//! given ones.
 
 use tidemap_map::name::StateName;
 use tidemap_model::selector::ModelSelector;
@@ -53,7 +53,7 @@ pub struct SlotQuestion {
     pub selector: ModelSelector,
     /// Whether exactly one location holds the person or object, which replaces the model.
     pub exactly_one: bool,
-    /// What a look at a state is worth.
+    /// The worth of an observation of a state.
     pub worth: LookWorth,
     /// Locations to choose from; empty: all of the map.
     pub locations: Vec<StateName>,

@@ -17,7 +17,7 @@ use crate::{
     v1::{self, evaluate_states_request::Message},
 };
 
-/// What is compared: the header of a request.
+/// The models to compare, from the header of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvaluationQuestion {
     /// Different models; at least one.
@@ -37,7 +37,7 @@ pub fn header_of(first: Option<v1::EvaluateStatesRequest>) -> Result<v1::Evaluat
     }
 }
 
-/// What a header asks to compare.
+/// Reads the models to compare from a header.
 ///
 /// # Errors
 /// The invalid field.

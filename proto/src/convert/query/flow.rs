@@ -1,7 +1,7 @@
 //! Predictions of flows: questions, and people to avoid on a route.
 //!
-//! Invariant: numbers are finite and within range. Whether the states are positions and have directions is known from
-//! the map, and checked by who answers.
+//! Invariant: numbers are finite and within range. The handler of the request checks from the map whether the states
+//! are positions and have directions.
 
 use tidemap_model::models::{FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS};
 use tidemap_plan::encounters::NEAR_M;
@@ -14,7 +14,7 @@ use crate::{
 
 /// Number of directions if none is given.
 const DIRECTIONS: usize = 8;
-/// What avoiding an encounter is worth if nothing else is said, seconds.
+/// Default worth of avoiding an encounter, seconds.
 const ENCOUNTER_COST_SECS: f64 = 10.0;
 /// The greatest distance that may count as near, metres.
 const NEAR_MAX_M: f64 = 100.0;
@@ -50,7 +50,7 @@ pub struct FlowQuestion {
 pub struct AvoidedPeople {
     /// The detections of these people.
     pub source: FlowSource,
-    /// What avoiding an encounter is worth, seconds.
+    /// Worth of avoiding an encounter, seconds.
     pub encounter_cost_secs: f64,
     /// People within this distance are near, metres.
     pub near_m: f64,

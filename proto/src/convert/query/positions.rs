@@ -1,7 +1,7 @@
 //! Predictions of positions, and of states by place: questions.
 //!
-//! Invariant: numbers are finite and within range. How many coordinates a place has is known from the map, and checked
-//! by who answers.
+//! Invariant: numbers are finite and within range. The handler of the request checks from the map how many coordinates
+//! a place has.
 
 use tidemap_model::{VALUE_MAX, selector::ModelKind};
 
@@ -75,9 +75,9 @@ pub struct PlacesQuestion {
     pub times_nanos: Vec<i64>,
     /// Coordinates of the places, one place after the other, metres.
     pub places_m: Vec<f64>,
-    /// Values whose densities are asked for.
+    /// Values whose densities are requested.
     pub density_values: Vec<f64>,
-    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are asked for.
+    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are requested.
     pub interval_level: Option<f64>,
     /// A model that positions have.
     pub kind: ModelKind,

@@ -23,7 +23,7 @@ pub struct StatesQuestion {
     pub times_nanos: Vec<i64>,
     /// The model.
     pub selector: ModelSelector,
-    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are asked for.
+    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are requested.
     pub interval_level: Option<f64>,
 }
 
@@ -42,18 +42,18 @@ pub fn states_from_wire(request: v1::PredictStatesRequest) -> Result<StatesQuest
     Ok(StatesQuestion { names, times_nanos, selector, interval_level })
 }
 
-/// What is known of a state besides its predictions.
+/// The properties of a state in a reply besides its predictions.
 #[derive(Clone, Debug)]
 pub struct StateFacts {
     /// The kind of its values.
     pub kind: StateKind,
     /// The order of its model.
     pub order: usize,
-    /// All its observations.
+    /// Number of all observations of the state.
     pub observations: u64,
-    /// Those that no update has learned.
+    /// Number of observations that no update has learned.
     pub pending: u64,
-    /// The model that answers; `None`: nothing was learned, and the prior predicts.
+    /// The model that predicts; `None`: nothing was learned, and the prior predicts.
     pub answered_by: Option<ModelSelector>,
     /// Time of its newest value, nanoseconds UTC.
     pub last_nanos: Option<i64>,
@@ -62,9 +62,9 @@ pub struct StateFacts {
 /// Predictions of one state, or of one axis of a vector, at successive times of a question.
 #[derive(Clone, Debug)]
 pub struct StateForecast {
-    /// One per time.
+    /// The predicted values, one per time.
     pub values: Vec<f64>,
-    /// One per time; empty if none were asked for.
+    /// The intervals, one per time; empty if none were requested.
     pub intervals: Vec<HeldInterval>,
     /// The state.
     pub facts: StateFacts,

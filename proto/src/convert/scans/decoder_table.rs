@@ -35,7 +35,7 @@ pub(super) struct TableSlot {
 }
 
 impl TableSlot {
-    /// Those of the cells that lie within the grid's extent.
+    /// The given cells that lie within the grid's extent.
     pub(crate) fn cut(&self, cells: Mask) -> Mask {
         self.within.as_ref().map_or(cells, |within| cells & **within)
     }

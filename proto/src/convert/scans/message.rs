@@ -58,7 +58,7 @@ impl ScanMessage {
         self.batch.continues
     }
 
-    /// The cells that its scans are pictures of, as sent; empty if it does not say.
+    /// The cells that its scans are pictures of, as sent; empty if the message has none.
     #[must_use]
     pub fn shown(&self) -> CellBox {
         self.batch.shown.as_ref().map(cell_box_from_wire).unwrap_or_default()

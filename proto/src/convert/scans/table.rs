@@ -33,7 +33,7 @@ pub struct EncodedScan {
     pub digest: u64,
 }
 
-/// What a stream last showed of each slot, and the slots that its last scan saw.
+/// The content that a stream last showed of each slot, and the slots that its last scan saw.
 #[derive(Clone, Debug, Default)]
 pub struct TilePicture {
     /// Observed and occupied cells.
@@ -42,14 +42,14 @@ pub struct TilePicture {
 }
 
 impl TilePicture {
-    /// What was last shown of a slot; empty for a slot that was never seen.
+    /// The content last shown of a slot; empty for a slot that was never seen.
     #[must_use]
     pub fn masks(&self, slot: u32) -> TileMasks {
         let [observed, occupied] = self.masks.get(slot as usize).copied().unwrap_or_default();
         TileMasks::clipped(observed, occupied)
     }
 
-    /// What was last shown, by slot.
+    /// The content last shown, by slot.
     pub fn all(&self) -> impl Iterator<Item = TileMasks> {
         self.masks.iter().map(|&[observed, occupied]| TileMasks::clipped(observed, occupied))
     }
@@ -76,7 +76,7 @@ impl TilePicture {
     /// changed.
     pub fn follow(&mut self, scan: &TileScan, mut touched: impl FnMut(u32)) {
         if !scan.seen.is_empty() {
-            // It was checked when the scan was accepted.
+            // The scan was checked when it was accepted.
             let _ = unpack_runs(&scan.seen, usize::MAX, &mut self.runs);
         }
         for (index, &slot) in scan.masked.iter().enumerate() {
@@ -105,7 +105,7 @@ pub struct TileTable {
     tiles: Vec<TileIndex>,
     slots: HashMap<TileIndex, u32>,
     picture: TilePicture,
-    /// What each slot adds to a digest.
+    /// The term that each slot adds to a digest.
     terms: Vec<u64>,
     /// Sum of the terms of the slots seen last.
     digest: u64,
@@ -119,7 +119,7 @@ impl TileTable {
         &self.tiles
     }
 
-    /// What was last shown.
+    /// The content last shown.
     #[must_use]
     pub fn picture(&self) -> &TilePicture {
         &self.picture
@@ -202,7 +202,7 @@ impl TileTable {
         }
         scan.masked.iter().try_for_each(|&slot| within(u64::from(slot)))?;
         for packed in [&scan.observed_flips, &scan.occupied_flips] {
-            // They ascend: the last is the highest.
+            // The numbers ascend: the last is the highest.
             within(packed.iter().copied().map(u64::from).sum::<u64>() >> 9)?;
         }
         Ok(())

@@ -72,7 +72,7 @@ impl<'a> Masks<'a> {
     }
 }
 
-/// Looks up ascending slots in ascending runs.
+/// Finds ascending slots in ascending runs.
 struct Within<'a> {
     runs: &'a [(u32, u32)],
 }

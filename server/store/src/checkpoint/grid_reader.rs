@@ -25,7 +25,7 @@ use crate::{
     record_file::RecordReader,
 };
 
-/// What a reader keeps of a grid.
+/// The part of a grid that a reader keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Keep {
     /// Only the offsets of its tiles: the file is only checked.

@@ -109,14 +109,14 @@ pub(super) fn write(
     Ok(shared)
 }
 
-/// Which shared sums have been written.
+/// The shared sums that have been written.
 #[derive(Default)]
 pub(crate) struct Shared {
-    /// By address. The weak references keep the addresses from being given to others.
+    /// The numbers of the sums by address. The weak references keep the addresses from being given to others.
     by_address: HashMap<usize, u32>,
     /// Sums that are not in memory: by the address of their file and their number in it.
     by_place: HashMap<(usize, u32), u32>,
-    /// By number; empty if it is not in memory.
+    /// The sums by number; empty if a sum is not in memory.
     in_memory: Vec<Weak<PhasorSum>>,
 }
 

@@ -19,7 +19,7 @@ impl Checkpoints<'_> {
         self.folder.with_file_name(CHECKPOINTS_FILE)
     }
 
-    /// What must exist.
+    /// Reads the list of what must exist.
     pub(crate) fn listed(&self) -> Result<CheckpointList, Unlisted> {
         list_file::read(self.disk, &self.list_path())
     }
@@ -47,12 +47,12 @@ impl Checkpoints<'_> {
         self.change_list(|list| list.checkpoints.retain(|&listed| listed != position))
     }
 
-    /// From now on the log begins with the segment of this record.
+    /// Records that the log begins with the segment of this record from now on.
     pub(crate) fn begin_log(&self, first_record: u64) -> Result<(), StoreError> {
         self.change_list(|list| list.first_record = first_record)
     }
 
-    /// What exists: all checkpoints, and the first segment in the folder of the log.
+    /// Lists the existing files: all checkpoints, and the first segment in the folder of the log.
     pub(crate) fn present(&self, log: &Path) -> std::io::Result<CheckpointList> {
         let first_record = self.disk.list(log)?.iter().find_map(|name| segment_position(name)).unwrap_or(1);
         Ok(CheckpointList { first_record, checkpoints: self.positions()? })

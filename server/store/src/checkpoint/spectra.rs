@@ -59,10 +59,10 @@ fn numbers(bytes: &[u8]) -> Result<Vec<[f64; 4]>, String> {
     }
 }
 
-/// Where the states of a checkpoint are.
+/// The places of the states in the file of a checkpoint.
 pub(crate) struct StatePlaces {
     pub(crate) source: Arc<dyn SpectrumSource>,
-    /// By the number of the state.
+    /// The offsets by the number of the state.
     pub(crate) offsets: Vec<u64>,
 }
 

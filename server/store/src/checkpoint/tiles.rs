@@ -49,9 +49,9 @@ pub(crate) struct CheckpointTiles {
     path: PathBuf,
     periodicities: Periodicities,
     offsets: TileOffsets,
-    /// The shared sums that are in memory. Held for a look-up.
+    /// The shared sums that are in memory. The lock is held for a look-up.
     shared: Mutex<Vec<Weak<PhasorSum>>>,
-    /// Held for a look-up.
+    /// The models that are in memory. The lock is held for a look-up.
     models: Mutex<ModelCache>,
 }
 

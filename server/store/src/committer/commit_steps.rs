@@ -1,6 +1,7 @@
-//! The steps of one group commit, for who wants to follow them.
+//! The steps of one group commit, for callers that follow them.
 //!
-//! Invariant: a follower hears of each group that it was told of once more: written, then durable or failed.
+//! Invariant: for each group whose beginning a follower received, it receives the further steps: written, then durable
+//! or failed.
 
 use std::{fmt, sync::OnceLock};
 
@@ -9,20 +10,20 @@ use crate::MapId;
 /// A step of a group of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitStep {
-    /// All its records are written, and `fdatasync` begins.
+    /// All records of the group are written, and `fdatasync` begins.
     Written,
-    /// It is durable.
+    /// The group is durable.
     Durable,
-    /// It is not durable, and its records are refused.
+    /// The group is not durable, and its records are refused.
     Failed,
 }
 
-/// Hears the steps of one group. It is called by the committer's thread, and must be quick.
+/// Receives the steps of one group. It is called by the committer's thread, and must be quick.
 pub type GroupFollower = Box<dyn FnMut(CommitStep) + Send>;
-/// Hears that a group begins, of this map, with so many records of so many bytes.
+/// Receives the beginning of a group, of this map, with so many records of so many bytes.
 pub type CommitFollower = Box<dyn Fn(MapId, usize, u64) -> GroupFollower + Send + Sync>;
 
-/// Who follows the commits of a store, if anybody does.
+/// The follower of the commits of a store, if there is one.
 #[derive(Default)]
 pub(crate) struct Followed(OnceLock<CommitFollower>);
 

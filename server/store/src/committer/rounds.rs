@@ -9,7 +9,7 @@ use super::{Append, Committer, Group};
 use crate::{error::AppendError, log::writer::LogWriter};
 
 impl Committer {
-    /// Writes the appends, all of one log. Where that fails, their completions have heard of it;
+    /// Writes the appends, all of one log. Where that fails, their completions have received the error;
     /// [`AppendError::AfterFailure`] where each of them had failed before.
     pub(crate) fn begin(&self, appends: Vec<Append>) -> Result<Group, AppendError> {
         let mut group: Option<Group> = None;
@@ -23,7 +23,7 @@ impl Committer {
         self.write(group.ok_or(AppendError::AfterFailure)?)
     }
 
-    /// Makes a written group durable. After an error, [`Self::end`] must hear of it.
+    /// Makes a written group durable. After an error, the caller must end the group by [`Self::end`] with this error.
     pub(crate) fn sync_written(&self, group: &Group) -> Result<(), AppendError> {
         if let Some(error) = self.poison() {
             return Err(error);

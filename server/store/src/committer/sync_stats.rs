@@ -1,4 +1,4 @@
-//! How long fdatasync takes on this disk.
+//! The durations of fdatasync on this disk.
 //!
 //! Invariant: only the newest durations are kept, so memory does not grow.
 
@@ -10,10 +10,10 @@ use std::{
 /// Durations that are kept.
 const KEPT: usize = 4096;
 
-/// How long fdatasync of the observation logs has taken.
+/// The durations of fdatasync of the observation logs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SyncStats {
-    /// How often it was called since the store was opened.
+    /// Number of calls since the store was opened.
     pub count: u64,
     /// Half of the newest 4,096 were faster.
     pub p50: Duration,
@@ -24,7 +24,7 @@ pub struct SyncStats {
 /// The newest durations.
 #[derive(Default)]
 pub(super) struct SyncTimes(
-    /// Held to add one entry or to copy all, never during disk access.
+    /// The lock is held to add one entry or to copy all, never during disk access.
     Mutex<Ring>,
 );
 

@@ -24,7 +24,7 @@ const RELEARNED_STATES: usize = 2_000;
 /// The producers of a map.
 #[derive(Debug, Default)]
 struct Producers {
-    /// Their keys, by their ids, and whether they have sent scans.
+    /// The keys of the producers, by their ids, and whether they have sent scans.
     known: BTreeMap<ProducerId, (ProducerKey, bool)>,
     /// Whether the grid has any scans.
     has_scans: bool,
@@ -110,7 +110,7 @@ impl Rewrite<'_> {
         }
         producers.check(&selection)?;
         let decision = match survey.decide() {
-            // There is still a sequence to forget.
+            // The order still has a sequence to forget.
             Err(NotErasable::Nothing) if part.forgets => Decision::default(),
             decision => decision?,
         };

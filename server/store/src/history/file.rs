@@ -1,6 +1,6 @@
 //! One open history file: its table of contents and random access to its parts.
 //!
-//! Invariant: a part that is read has passed its checksum and lies where the table says, or the error names the file.
+//! Invariant: a part that is read has passed its checksum and lies where the table states, or the error names the file.
 
 use std::{
     io,
@@ -69,7 +69,7 @@ impl HistoryFile {
     }
 }
 
-/// Why a file is of no use: what it holds is damaged, or the disk does not give it.
+/// The reason why a file is of no use: its contents are damaged, or the disk does not give it.
 fn unread(path: &Path, failure: ReadFailure) -> HistoryError {
     let file = path.to_owned();
     match failure {

@@ -103,7 +103,7 @@ impl History {
         let newest = newest.unwrap_or(0);
         [(Part::States, spec.retention), (Part::Grid, grid)].into_iter().all(|(part, retention)| match retention {
             Retention::None => true,
-            // What is too old may have been deleted.
+            // Files that are too old may have been deleted.
             Retention::Duration(_) => newest == 0,
             Retention::Forever => (1..=newest).all(|generation| {
                 names.contains(&part.name(generation))

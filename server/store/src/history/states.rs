@@ -45,7 +45,7 @@ impl StateFiles {
     pub fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, HistoryError> {
         let mut found = vec![Vec::new(); wanted.len()];
         let Some(earliest) = wanted.iter().map(|wanted| wanted.from_nanos).min() else { return Ok(found) };
-        // In the order of the tables, which are read record by record.
+        // The order is that of the tables, which are read record by record.
         let mut order: Vec<usize> = (0..wanted.len()).collect();
         order.sort_by_key(|&index| wanted[index].state);
         for &(generation, to_nanos) in &self.files {

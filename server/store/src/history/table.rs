@@ -76,7 +76,7 @@ impl<'file> Table<'file> {
 
     /// The entry of a key.
     pub(super) fn find(&mut self, key: u64) -> Result<Option<Entry>, HistoryError> {
-        // Keys are often looked up in order, so the next one is often in the same record.
+        // Keys are often searched in order, so the next one is often in the same record.
         if let Some((_, entries)) = &self.chunk
             && let Ok(at) = entries.binary_search_by_key(&key, |entry| entry.key)
         {

@@ -35,7 +35,7 @@ pub(super) struct IndexedCells {
     map: u32,
     mark: sled::IVec,
     periodicities: Periodicities,
-    /// Held for a look-up.
+    /// The models that are in memory. The lock is held for a look-up.
     models: Mutex<ModelCache>,
 }
 

@@ -32,7 +32,7 @@ pub(super) fn remove_unfinished_snapshots(folder: &Path) -> io::Result<()> {
 /// ones without a word.
 ///
 /// # Errors
-/// They cannot be read, or are not as they were written.
+/// The settings cannot be read, or are not as they were written.
 pub(super) fn check_settings(folder: &Path) -> Result<(), ReadFailure> {
     // An empty database has never been flushed.
     match fs::metadata(folder.join("db")) {

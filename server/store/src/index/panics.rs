@@ -22,7 +22,7 @@ pub(super) fn catch<T>(action: impl FnOnce() -> T) -> Result<T, ReadFailure> {
     INSTALL.call_once(|| {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
-            // The caller shows the error; a backtrace would look like a crash of the daemon.
+            // The caller shows the error; a backtrace would seem to be a crash of the daemon.
             if !IS_QUIET.get() {
                 previous(info);
             }

@@ -1,7 +1,7 @@
-//! Reading the index: whether the rows of a map are whole, and what they publish.
+//! Reading the index: whether the rows of a map are whole, and the data that they publish.
 //!
 //! Invariant: nothing is given out before the mark of its map was found clean; each row is checked by itself, and all
-//! together by number and sum. The models of tiles are read one by one when they are asked for, and checked then.
+//! together by number and sum. The models of tiles are read one by one when they are needed, and checked then.
 
 use std::{ops::Range, sync::Arc, thread};
 
@@ -40,7 +40,7 @@ const STATES_PER_THREAD: usize = 2_000;
 
 /// The mark of a map.
 pub(super) enum MarkState {
-    /// There is none.
+    /// There is no mark.
     Nothing,
     /// Rows are not completely written.
     Unfinished,
@@ -68,7 +68,7 @@ pub(super) fn marked(trees: &Trees) -> Result<Vec<u32>, ReadFailure> {
     Ok(maps.collect::<sled::Result<_>>()?)
 }
 
-/// How many items of a kind there may be.
+/// Maximum number of items of a kind.
 fn limit(mark: &Mark, kind: Kind) -> u32 {
     let snapshot = mark.snapshot.unwrap_or_default();
     let grid = mark.grid.clone().unwrap_or_default();
@@ -120,8 +120,8 @@ pub(super) fn check(trees: &Trees, map: u32, mark: &Mark) -> Result<KnownRows, R
     Ok(known)
 }
 
-/// What the rows of a map publish; `None` where they are not whole. The models of a grid's tiles are read when they are
-/// asked for.
+/// Reads the published data of a map from its rows; `None` where they are not whole. The models of a grid's tiles are
+/// read when they are needed.
 pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, ReadFailure> {
     let MarkState::Clean(mark, raw) = mark(trees, map)? else { return Ok(None) };
     let header = mark.snapshot.ok_or("a mark has no generation")?;
@@ -172,7 +172,7 @@ fn read_states(
         states.extend(of_range);
         sums.extend(sums_of_range);
     }
-    // One that is beyond the last number would be in no range.
+    // A row beyond the last number would be in no range.
     let beyond = trees.of(Kind::States).range(item_key(map, count)..=item_key(map, u32::MAX)).next();
     compare(mark, map, Kind::States, if beyond.is_some() { &[] } else { &sums })?;
     Ok(states)

@@ -96,7 +96,7 @@ mod tests {
             assert_eq!(index.read(map, &spec), Ok(Some(saved.published())));
         }
         index.close();
-        // What an interrupted rewrite leaves is removed.
+        // The files that an interrupted rewrite leaves are removed.
         std::fs::create_dir(directory.path().join("index.new")).expect("writable");
         let (mut index, repair) = Index::open(folder, 1 << 20).expect("not in use");
         assert_eq!(repair, None);

@@ -1,4 +1,4 @@
-//! What a generation publishes, as rows of the index.
+//! The published data of a generation, as rows of the index.
 //!
 //! Invariant: equal content gives equal rows, so an unchanged state or tile is not written again.
 

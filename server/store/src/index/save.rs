@@ -170,7 +170,7 @@ pub(super) fn save(
             let is_there = cells.sums.len() > id as usize;
             let model = match slot {
                 ModelSlot::Resident(model) if std::ptr::eq(known.as_ptr(), Arc::as_ptr(model)) => continue,
-                // It has left memory after it was saved, here and in a checkpoint.
+                // The model has left memory after it was saved, here and in a checkpoint.
                 ModelSlot::Cold(_) if is_there => continue,
                 slot => slot.get().map_err(|error| ReadFailure::of_text(error.to_string()))?,
             };

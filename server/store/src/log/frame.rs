@@ -121,8 +121,8 @@ pub(crate) fn next_frame<'segment>(
     Ok(Some(Frame { header, body }))
 }
 
-/// Whether any part of `start..end` within one sector is all zeros; parts end at `limit`. Written frames never look
-/// like that.
+/// Whether any part of `start..end` within one sector is all zeros; parts end at `limit`. Written frames have no such
+/// part.
 pub(crate) fn has_unwritten_sector(segment: &[u8], start: usize, end: usize, limit: usize) -> bool {
     let mut start = start;
     while start < end {

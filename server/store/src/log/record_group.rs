@@ -24,9 +24,9 @@ impl LogPoint {
 /// Records that were written together, as they stand in a segment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordGroup {
-    /// Where they begin.
+    /// The point at which the records begin.
     pub before: LogPoint,
-    /// Where they end.
+    /// The point at which the records end.
     pub after: LogPoint,
     /// The records as frames.
     pub frames: Vec<u8>,
@@ -42,7 +42,7 @@ impl RecordGroup {
     /// The events of the frames, all of which are checked.
     ///
     /// # Errors
-    /// What is wrong with a frame.
+    /// The fault of a frame.
     pub fn events(&self) -> Result<Vec<(u64, Event)>, &'static str> {
         let mut events = Vec::new();
         let mut cursor = Cursor { offset: 0, position: self.before.position + 1, chain: self.before.chain };

@@ -31,7 +31,7 @@ pub(crate) struct Recovered {
     pub(crate) repairs: Vec<Repair>,
 }
 
-/// What the checkpoints and the index require of a log.
+/// The requirements of the checkpoints and the index on a log.
 pub(crate) struct Expectation {
     pub(crate) map: u32,
     /// Records before this one are not needed.
@@ -50,8 +50,8 @@ fn corrupt(file: &Path, offset: usize, position: u64, reason: impl Into<String>)
 pub(crate) struct Torn {
     pub(crate) file: PathBuf,
     pub(crate) bytes: u64,
-    /// How many of the last ones are zero, if there are too many for a record that was cut off. What was there is not
-    /// known: a record that had been acknowledged looks the same as one that was never written.
+    /// Number of the last bytes that are zero, if there are too many for a record that was cut off. Their earlier
+    /// contents are not known: a record that had been acknowledged is not different from one that was never written.
     pub(crate) zero_bytes: u64,
 }
 
@@ -148,7 +148,7 @@ pub(crate) fn read(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Re
     Ok(Read { segments, cursor, progress, listed, unfinished, torn })
 }
 
-/// How many of the last bytes are zero; none where a record may end like that.
+/// Number of the last bytes that are zero; none where a record may end like that.
 fn zero_bytes(torn: &[u8]) -> u64 {
     let zeros = torn.iter().rev().take_while(|&&byte| byte == 0).count();
     if zeros == torn.len() || zeros >= FRAME_HEADER_LENGTH { zeros as u64 } else { 0 }

@@ -178,8 +178,8 @@ impl LogWriter {
         }
     }
 
-    /// Looks whether the file is still the one that was written, as long as it was written: the records of a file that
-    /// nobody can find again, or that was cut, are lost although the disk has taken them. A look takes microseconds
+    /// Checks whether the file is still the one that was written, as long as it was written: the records of a file that
+    /// nobody can find again, or that was cut, are lost although the disk has taken them. The check takes microseconds
     /// beside a sync.
     pub(crate) fn verify(&self) -> Result<(), AppendError> {
         let length = self.written.map_or(self.length, |(length, ..)| length);

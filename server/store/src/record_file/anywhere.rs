@@ -15,7 +15,7 @@ pub(crate) fn raw(file: &dyn DiskReader, kind: RecordKind, offset: u64) -> Resul
     let header = RecordHeader::decode(&bytes)
         .filter(|header| header.kind == kind)
         .ok_or_else(|| format!("the header of the record at byte {offset} is not valid"))?;
-    // At most 1 MiB.
+    // The length is at most 1 MiB.
     let mut payload = vec![0; header.payload_length as usize];
     let start = offset.saturating_add(RECORD_HEADER_LENGTH as u64);
     file.read_exact_at(&mut payload, start)?;

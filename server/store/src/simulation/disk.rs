@@ -26,7 +26,7 @@ enum DiskNode {
     Folder(Vec<Names>),
 }
 
-/// When a call fails.
+/// The moment at which a call fails.
 #[derive(Clone, Copy, Debug)]
 pub struct Fault {
     /// The number of the call, from 0.
@@ -113,7 +113,7 @@ fn name_of(path: &Path) -> String {
     path.file_name().expect("has a name").to_str().expect("text").to_owned()
 }
 
-/// What a power cut leaves of a file.
+/// The bytes that a power cut leaves of a file.
 fn torn(versions: &[Vec<u8>], random: &mut SmallRng) -> Vec<u8> {
     if versions.len() == 1 {
         return versions[0].clone();

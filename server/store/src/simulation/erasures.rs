@@ -30,7 +30,7 @@ const MAP: MapId = MapId(1);
 const ERASED: [StateId; 2] = [StateId(0), StateId(2)];
 const EVENTS: u64 = 19;
 
-/// What a map is made of.
+/// The contents of a map.
 #[derive(Debug, PartialEq)]
 struct Content {
     snapshot: MapSnapshot,

@@ -25,7 +25,7 @@ use crate::{
 
 const STATES: usize = 2;
 
-/// One map and what is known of it.
+/// One map and its expected contents.
 pub(super) struct Known {
     pub(super) map: MapId,
     pub(super) spec: MapSpec,
@@ -179,10 +179,10 @@ impl Machine {
             piece.days.clear();
         }
         known.history.push((Arc::new(piece), false));
-        // Those of earlier saves that have failed, too.
+        // The snapshot has the pieces of earlier saves that have failed, too.
         snapshot.history =
             known.history.iter().filter(|(_, is_kept)| !is_kept).map(|(piece, _)| Arc::clone(piece)).collect();
-        // Whether it succeeds or not: what was saved before and the log are still the map.
+        // Whether the save succeeds or not: the data saved before and the log are still the map.
         if store.save(known.map, &snapshot).is_ok() {
             known.history.iter_mut().for_each(|(_, is_kept)| *is_kept = true);
         }
@@ -241,7 +241,7 @@ impl Known {
         Ok(())
     }
 
-    /// What a save has kept is there, and nothing else than what some save was given.
+    /// Checks that the pieces which a save has kept are there, and nothing else than pieces that some save was given.
     fn check_history(&self, store: &Store) {
         let history = store.history(self.map).expect("known");
         // The newest, which a crash may have met.

@@ -36,21 +36,21 @@ const DELETED_SUFFIX: &str = ".deleted";
 pub struct SetAside {
     /// The number of the map, from 1.
     pub id: MapId,
-    /// Its name, where it is known.
+    /// Name of the map, where it is known.
     pub name: Option<String>,
-    /// What is wrong with it.
+    /// Description of the damage.
     pub reason: String,
 }
 
 /// The maps of a store.
 pub(crate) struct Catalogue {
-    /// Maps by number, as their MAP files say.
+    /// Maps by number, as their MAP files define them.
     pub(crate) maps: BTreeMap<MapId, MapSpec>,
     /// Maps whose folder is missing or whose MAP file is damaged.
     pub(crate) set_aside: BTreeMap<MapId, SetAside>,
-    /// Whether `MAPS` says something else.
+    /// Whether `MAPS` has other contents.
     pub(crate) is_list_old: bool,
-    /// What is wrong with `MAPS`, if it is lost: which maps must exist is not known then.
+    /// The fault of `MAPS`, if it is lost: the maps that must exist are not known then.
     pub(crate) lost_list: Option<String>,
     /// Deleted maps, which may still have files.
     pub(crate) deleted: BTreeSet<MapId>,
@@ -135,9 +135,9 @@ fn read_with(
     Ok(catalogue)
 }
 
-/// What to do about a map that the disk does not give.
+/// Advice about a map that the disk does not give.
 const LOOK_AT_DISK: &str = "It may be sound: check the disk and the permissions, and restart the daemon";
-/// What to do about a map that cannot be used.
+/// Advice about a map that cannot be used.
 const RESTORE: &str = "Restore the folder of this map from a backup, or delete the map to continue without it";
 
 impl Catalogue {
@@ -149,7 +149,7 @@ impl Catalogue {
         }
     }
 
-    /// What `MAPS` should say.
+    /// The contents that `MAPS` should have.
     pub(crate) fn list(&self) -> MapList {
         let maps = self.maps.iter().map(|(map, known)| (map.0, known.name.as_str().to_owned()));
         let set_aside = self.set_aside.values().map(|map| (map.id.0, map.name.clone().unwrap_or_default()));

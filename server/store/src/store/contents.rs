@@ -1,4 +1,4 @@
-//! What the index of a data directory holds, without a daemon.
+//! The contents of the index of a data directory, without a daemon.
 //!
 //! Invariant: nothing is repaired, and nothing is migrated. The directory is locked as long as the contents are held.
 
@@ -19,7 +19,7 @@ use crate::{
 /// The rows of one map in the index.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum IndexedRows {
-    /// They are a whole generation.
+    /// The rows are a whole generation.
     Whole {
         /// Number of the generation.
         generation: u64,
@@ -28,11 +28,11 @@ pub enum IndexedRows {
         /// Bytes of their keys and values.
         bytes: u64,
     },
-    /// There are none.
+    /// There are no rows.
     Nothing,
-    /// They were not completely written when the process stopped.
+    /// The rows were not completely written when the process stopped.
     Unfinished,
-    /// They cannot be read, for this reason.
+    /// The rows cannot be read, for this reason.
     Damaged(String),
 }
 
@@ -83,7 +83,8 @@ impl IndexContents {
         Ok(IndexContents { index, maps, disk_bytes, _lock: lock })
     }
 
-    /// What a map publishes; `None` where its rows are not whole. The models of tiles are read when they are asked for.
+    /// Reads the published data of a map; `None` where its rows are not whole. The models of tiles are read when they
+    /// are needed.
     pub fn published(&self, map: MapId, spec: &MapSpec) -> Option<MapSnapshot> {
         self.index.read(map.0, spec).ok().flatten()
     }

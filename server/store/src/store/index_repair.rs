@@ -17,7 +17,7 @@ use crate::{
     index::RowsState,
 };
 
-/// Nothing is kept in memory of what is only written to the index.
+/// The memory for data that is only written to the index: none.
 const NO_MEMORY: Memory = Memory { tile_bytes: 0, spectrum_bytes: 0 };
 
 /// The repair that the index needs.
@@ -31,7 +31,7 @@ pub(super) enum IndexState {
 }
 
 impl IndexState {
-    /// What the rows of a map need to agree with its newest good checkpoint.
+    /// Returns what the rows of a map need to agree with its newest good checkpoint.
     pub(super) fn of(rows: Result<RowsState, ReadFailure>, newest: Option<&MapSnapshot>) -> IndexState {
         match rows {
             Ok(RowsState::Nothing) if newest.is_none() => IndexState::Good,
@@ -112,7 +112,7 @@ impl OpenStore {
 impl Store {
     /// Whether [`Self::recover_index`] would try to open the index now. Does not wait for the disk.
     pub fn is_index_recoverable(&self) -> bool {
-        // Whoever holds it may read or write for long.
+        // Another thread that holds the index may read or write for long.
         self.inner.index.try_lock().is_ok_and(|index| index.is_retry_due(Instant::now()))
     }
 
@@ -128,8 +128,8 @@ impl Store {
             inner.committer.watch.indexed(index.failure());
             return repairs;
         }
-        // It counts as unavailable until it has all that it should have.
-        // A map that was deleted meanwhile has left its rows.
+        // The index counts as unavailable until it has all its rows. A map that was deleted meanwhile has left its
+        // rows.
         let known = inner.known();
         index.purge_unknown(|map| known.contains(&MapId(map)));
         drop(index);
@@ -141,7 +141,7 @@ impl Store {
         }
         let mut index = inner.index();
         index.has_recovered();
-        // That it is still refused has been reported when it was first.
+        // The present refusal has been reported when it began.
         repairs.retain(|repair| !matches!(repair, Repair::IndexUnavailable { .. }));
         if index.is_available() {
             repairs.push(Repair::IndexRecovered);

@@ -63,8 +63,8 @@ pub(crate) fn is_history_whole(disk: &Arc<dyn Disk>, directory: &Path, map: MapI
     is_known && history(disk, directory, map).is_whole(spec, newest)
 }
 
-/// Reads the lists of the maps that are found. Those that are lost and not proven are returned, with what is wrong with
-/// them; a map whose list the disk cannot read is set aside.
+/// Reads the lists of the maps that are found. Lists that are lost and not proven are returned, with a description of
+/// the damage; a map whose list the disk cannot read is set aside.
 pub(super) fn lost(
     disk: &Arc<dyn Disk>,
     directory: &Path,

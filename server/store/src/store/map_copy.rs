@@ -4,8 +4,8 @@
 //! file after file, with names like those within the folder of a map. The number of the map is that of the store that
 //! takes it, so that the headers of the files are written anew; everything behind them stays as it is.
 //!
-//! Invariant: a name leads only to a file that the folder of a map may have. What is taken becomes a map only when all
-//! of it is durable and was checked.
+//! Invariant: a name leads only to a file that the folder of a map may have. A copy becomes a map only when all of it
+//! is durable and was checked.
 
 use std::{collections::BTreeSet, io, path::PathBuf};
 
@@ -32,7 +32,7 @@ pub const COPY_PART_BYTES: usize = 1 << 20;
 pub struct CopyPart {
     /// The file, within the folder of the map, as `log/…`, `checkpoints/…` or `history/…`.
     pub name: String,
-    /// Where the part begins in the file.
+    /// The place where the part begins in the file.
     pub offset: u64,
     /// The bytes.
     pub bytes: Vec<u8>,
@@ -40,7 +40,7 @@ pub struct CopyPart {
     pub is_last: bool,
 }
 
-/// How much a copy has.
+/// The amount of data in a copy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CopyTotal {
     /// Files.
@@ -53,7 +53,7 @@ pub struct CopyTotal {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum CopyError {
-    /// What came is not a copy of a map.
+    /// The data that came is not a copy of a map.
     #[error("the copy is not valid: {name}: {reason}")]
     Invalid { name: String, reason: String },
     /// The map has no checkpoint that can be read, and its log begins behind its first record.
@@ -77,7 +77,7 @@ fn invalid(name: &str, reason: impl Into<String>) -> CopyError {
     CopyError::Invalid { name: name.chars().take(80).collect(), reason: reason.into() }
 }
 
-/// What a file of a copy is.
+/// The kind of a file of a copy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CopiedFile {
     Segment,
@@ -88,7 +88,7 @@ enum CopiedFile {
 impl CopiedFile {
     const ALL: [CopiedFile; 3] = [CopiedFile::Segment, CopiedFile::Checkpoint, CopiedFile::History];
 
-    /// Its folder within that of the map.
+    /// Folder of the file within that of the map.
     fn folder(self) -> &'static str {
         match self {
             CopiedFile::Segment => "log",
@@ -97,7 +97,7 @@ impl CopiedFile {
         }
     }
 
-    /// What a file of this name is; `None`: the folder of a map has no such file.
+    /// The kind of a file of this name; `None`: the folder of a map has no such file.
     fn named(name: &str) -> Option<CopiedFile> {
         let (folder, file) = name.split_once('/')?;
         let kind = CopiedFile::ALL.into_iter().find(|kind| kind.folder() == folder)?;

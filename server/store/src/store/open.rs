@@ -36,7 +36,7 @@ pub(crate) struct Parts {
     pub(crate) directory: PathBuf,
     pub(crate) options: StoreOptions,
     pub(crate) store_id: String,
-    /// Whether it was created just now.
+    /// Whether the store was created just now.
     pub(crate) is_new: bool,
     pub(crate) index: Index,
     pub(crate) committer: Arc<Committer>,
@@ -92,11 +92,11 @@ impl Store {
         if !maps.exists() {
             fs::create_dir(&maps).map_err(open_io(&maps))?;
         }
-        // Also if it existed: its name, and that of the manifest, may not be durable yet.
+        // The folder is synced even if it existed: its name, and that of the manifest, may not be durable yet.
         File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
         let opened = Index::open(directory.join("index"), options.index_cache_bytes);
-        // Whoever has it uses the folder, whatever became of the lock.
+        // A process that has the index open uses the folder, whatever became of the lock.
         let in_use = |IndexInUse| OpenError::Locked { directory: directory.to_owned(), pid: None };
         let (index, set_aside) = opened.map_err(in_use)?;
         let mut repairs = Vec::new();

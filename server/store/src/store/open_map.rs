@@ -39,7 +39,7 @@ struct Newest {
     index: IndexState,
 }
 
-/// What is stored of a map, as a start reads it before anything is repaired.
+/// The stored data of a map, as a start reads it before anything is repaired.
 pub(crate) struct StoredMap {
     newest: Newest,
     /// The first event that is replayed.
@@ -180,7 +180,8 @@ impl Store {
 }
 
 impl OpenStore {
-    /// Tells what should exist beside what the map was opened from, and is missing. The next save lists it no longer.
+    /// Reports files that should exist beside those from which the map was opened, and are missing. The next save lists
+    /// them no longer.
     fn miss_spares(&self, map: MapId, log: &Path, repairs: &mut Vec<Repair>) -> Result<(), OpenError> {
         let (checkpoints, file) = (self.checkpoints(map), self.checkpoints(map).list_path());
         let present = checkpoints.present(log).map_err(open_io(log))?;

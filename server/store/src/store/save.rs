@@ -67,7 +67,7 @@ impl Store {
 impl OpenStore {
     /// Deletes files that are no longer needed.
     fn forget(&self, map: MapId, entry: &MapEntry, snapshot: &MapSnapshot) {
-        // An import may be far ahead of what updates have learned, and models of those days need the days before them.
+        // An import may be far later than the learned observations, and models of those days need the days before them.
         let learned_nanos = snapshot.newest_nanos.min(snapshot.cut_nanos);
         if let Err(error) = self.history(map).forget(&entry.spec, learned_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
@@ -89,7 +89,7 @@ impl OpenStore {
         // A newer segment may already have a name and still be lost in a power cut.
         let newest = log.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, LogWriter::segment);
         let deletable = self.deletable(&folder, replay_from.min(newest))?;
-        // Also where nothing is deleted: a segment may have been missing that is needed no longer.
+        // This also runs where nothing is deleted: a segment may have been missing that is needed no longer.
         let segments = self.disk.list(&folder)?;
         let mut segments = segments.iter().filter_map(|name| segment_position(name));
         if let Some(first) = segments.find(|first| !deletable.contains(first)) {
@@ -102,7 +102,7 @@ impl OpenStore {
         if deletable.is_empty() { Ok(()) } else { self.disk.sync_folder(&folder) }
     }
 
-    /// Takes back what was told of missing checkpoints and segments that need not exist any more.
+    /// Withdraws the reports of missing checkpoints and segments that need not exist any more.
     fn forget_missing(&self, map: MapId) {
         let checkpoints = self.checkpoints(map);
         let Ok(list) = checkpoints.listed() else { return };

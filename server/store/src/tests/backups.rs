@@ -54,7 +54,7 @@ fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
     store.save(MAP, &snapshot(&spec, 25, 3)).expect("saves");
     let second = store.backup(&backup).expect("backs up");
     assert!(second.kept_files > 0 && second.copied_files < first.copied_files + 10, "{second:?}");
-    // What happens after the backup is not in it.
+    // A change after the backup is not in it.
     append(&log, &event(31)).expect("appends");
     let third = store.backup(&work.path().join("whole")).expect("backs up");
     assert!(third.copied_bytes > second.copied_bytes, "{second:?} {third:?}");
@@ -86,7 +86,7 @@ fn a_backup_that_begins_with_the_files_of_another_leaves_that_as_it_is() {
     assert!(is_backup_of(&first, store.store_id()) && !is_backup_of(&first, OTHER_ID));
     let before: Vec<(String, Vec<u8>)> =
         files(&first).into_iter().map(|file| (file.clone(), fs::read(file).expect("readable"))).collect();
-    // What a copy that was cut off left behind is not shared, because the next copy writes into it.
+    // A partial file that an interrupted copy left is not shared, because the next copy writes into it.
     let part = first.join("maps/00000001/log/0.log.part");
     fs::write(&part, "begun").expect("writes");
 

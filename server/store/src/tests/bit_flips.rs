@@ -46,7 +46,7 @@ fn length(file: &std::path::Path) -> usize {
 fn logs_checkpoints_maps_and_the_manifest() {
     let master = tempfile::tempdir().expect("temporary directory");
     let example = fill(master.path(), 23, &[5, 10, 15], 2000);
-    // Without the index, so that only checkpoints and logs remain.
+    // The index is removed, so that only checkpoints and logs remain.
     fs::remove_dir_all(master.path().join("index")).expect("removable");
     let map = master.path().join("maps/00000001");
     let mut random = SmallRng::seed_from_u64(1);

@@ -116,7 +116,7 @@ fn a_map_that_is_replaced_is_set_aside_also_by_the_next_start() {
     assert_eq!(names(&to), ["00000001", "00000001.replaced-1"]);
     drop((log, store));
 
-    // As if the daemon had been killed in between.
+    // The state is as if the daemon had been killed in between.
     let maps = to.join("maps");
     fs::rename(maps.join("00000001"), maps.join("00000001.copied")).expect("renamed");
     fs::rename(maps.join("00000001.replaced-1"), maps.join("00000001")).expect("renamed");
@@ -124,7 +124,7 @@ fn a_map_that_is_replaced_is_set_aside_also_by_the_next_start() {
     assert!(store.repairs().contains(&Repair::CopyCompleted { map }), "{:?}", store.repairs());
     assert_eq!(store.open_map(map, &spec).expect("opens").log.end(), 40);
     assert_eq!(names(&to), ["00000001", "00000001.replaced-1"]);
-    // With the map goes what was set aside of it.
+    // Deleting the map also deletes the data that was set aside of it.
     store.delete_map(map).expect("deleted");
     assert!(names(&to).is_empty(), "{:?}", names(&to));
 }
@@ -169,7 +169,7 @@ fn what_is_no_whole_copy_is_refused_and_leaves_nothing() {
     std::mem::forget(interrupted);
     assert_eq!(names(&to).len(), 2);
     drop(store);
-    // The interrupted copy still holds the store: only its folder is looked at.
+    // The interrupted copy still holds the store: only its folder is checked.
     let mut repairs = Vec::new();
     crate::store::catalogue::read(&crate::disk::RealDisk, &to, &mut repairs).expect("read");
     assert!(matches!(&repairs[..], [Repair::LeftoverRemoved { .. }]), "{repairs:?}");

@@ -22,9 +22,9 @@ fn remove_index(directory: &Path) {
     fs::remove_dir_all(directory.join("index")).expect("removable");
 }
 
-/// After whatever was repaired, the next start finds nothing to repair and everything in the index. The one after it
-/// where a database of sled that was given up was still at work, on a busy machine: what it spoils is written again
-/// once more.
+/// Checks that after a repair the next start finds nothing to repair and everything in the index. The start after it
+/// does so where a database of sled that was given up was still at work, on a busy machine: the rows that it spoils are
+/// written again once more.
 fn check_repaired(example: &Example, directory: &Path) {
     let mut opened = example.check(directory).expect("opens");
     if let [Repair::IndexRebuilt { .. }] = opened.repairs[..] {

@@ -1,4 +1,4 @@
-//! The bytes of what is known about a state's newest reading, and what of them is refused.
+//! The bytes of the stored data about a state's newest reading, and the bytes of such data that are refused.
 
 use std::sync::Arc;
 

@@ -69,7 +69,7 @@ fn refs(tile: u32, cells: impl Iterator<Item = u16>) -> Vec<CellRef> {
     cells.map(|cell| CellRef::new(TileId(tile), cell)).collect()
 }
 
-/// That of the second producer.
+/// The sensor of the second producer.
 const SENSOR: ProducerSensor = ProducerSensor { hit: 0.75, false_alarm: 0.125 };
 
 fn events() -> Vec<Event> {

@@ -8,7 +8,7 @@ use tidemap_model::{Alternatives, LocalDay, NumberEnsembleParts, StateKind};
 use super::golden_states::{alternatives, spec, state_of};
 use crate::record::snapshot::{SpectrumIn, decode_state, encode_state};
 
-/// How many numbers an ensemble has.
+/// Number of numbers in an ensemble.
 const NUMBERS: u16 = 2079;
 
 pub(super) fn known() -> StateSnapshot {

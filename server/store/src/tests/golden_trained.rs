@@ -62,7 +62,7 @@ fn field(method: HypertimeMethod) -> HypertimeParts {
     })
 }
 
-/// What is known of a state of a kind, with the models of `models` and the calibrated one.
+/// The learned data of a state of a kind, with the models of `models` and the calibrated one.
 fn known(state_kind: StateKind, models: Vec<(TrainedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
     let mut parts = alternatives(Some(Some(2.75))).to_parts();
     let record = |(model, error_sum)| TrainingRecordParts { model, day: LocalDay(19_669), error_sum };

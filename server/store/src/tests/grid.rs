@@ -50,7 +50,7 @@ fn grid_of(snapshot: &MapSnapshot) -> &GridSnapshot {
     snapshot.grid.as_ref().expect("has a grid")
 }
 
-/// How many tiles are in memory, and how many different sums their groups have.
+/// Number of tiles in memory, and number of different sums that their groups have.
 fn resident(grid: &GridSnapshot) -> (usize, usize) {
     let sums: Vec<&Arc<TileSums>> = grid
         .sums
@@ -348,7 +348,7 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
 fn every_damaged_byte_of_a_checkpoint_is_noticed() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let spec = spec("office");
-    // With at least one day and one scan in the future, so that there is a record of every kind.
+    // The snapshot has at least one day and one scan in the future, so that there is a record of every kind.
     let with_all = |snapshot: &MapSnapshot| !grid_of(snapshot).days.is_empty() && !grid_of(snapshot).future.is_empty();
     let position = (5..).find(|&position| with_all(&snapshot(&spec, position, 3))).expect("there is one");
     let saved = [snapshot(&spec, 4, 2), snapshot(&spec, position, 3)];
@@ -384,7 +384,7 @@ fn a_cold_tile_that_is_damaged_later_is_an_error_that_names_the_file() {
     let found = opened.snapshot.expect("saved");
     let file = directory.path().join("maps/00000001/checkpoints/00000000000000000010.tmc");
     let good = fs::read(&file).expect("readable");
-    // In place, so that the open file is the damaged one.
+    // The file is written in place, so that the open file is the damaged one.
     fs::write(&file, vec![0x5A; good.len()]).expect("writable");
     let error = grid_of(&found).models[0].get().expect_err("damaged");
     assert!(error.reason.contains("00000000000000000010.tmc"), "{error}");

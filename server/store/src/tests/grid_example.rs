@@ -110,7 +110,7 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     )
 }
 
-/// What scans said to show: sometimes nothing.
+/// The cells that scans state as shown: sometimes none.
 fn shown(random: &mut SmallRng) -> CellBox {
     let min: [i32; 3] = std::array::from_fn(|_| random.random_range(-4_000_000..4_000_000));
     let size = if random.random_bool(0.5) { 0 } else { 400 };

@@ -66,7 +66,7 @@ fn events() -> Vec<Event> {
         ));
         if number % 2 == 1 {
             let generation = number / 2 + 1;
-            // Not all scans, so that some stay pending.
+            // The update does not learn all scans, so that some stay pending.
             let cut_nanos = generation as i64 * DAY_NANOS - DAY_NANOS / 9;
             let start = UpdateStart { generation, cut_nanos, cause: UpdateCause::Midnight };
             events.push(Event::UpdateStart(start));

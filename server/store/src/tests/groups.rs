@@ -89,7 +89,7 @@ fn a_group_that_is_decided_against_is_not_in_the_log() {
     let refused = daemon.append(4..=5, Err(moved.clone())).expect("written");
     assert_eq!(daemon.answers(), [Err(moved.clone()), Err(moved)]);
     assert_eq!((daemon.log.end(), refused.before), (before, before));
-    // Until the map's thread has undone what depends on it.
+    // Appends fail until the map's thread has undone what depends on the failed one.
     assert_eq!(daemon.append(4..=4, Ok(())), None);
     daemon.log.resume();
     let other = daemon.append(6..=6, Ok(())).expect("written");
@@ -109,7 +109,7 @@ fn groups_of_another_daemon_make_equal_logs() {
         assert_eq!(first.log.end(), second.log.end());
     }
     assert_eq!(first.groups(1), second.groups(1));
-    // From the group that holds the record, whatever segment it is in.
+    // Reads from the group that holds the record, whatever segment it is in.
     for position in 1..next {
         let groups = second.groups(position);
         assert!(groups[0].before.position < position && position <= groups[0].after.position);

@@ -1,4 +1,4 @@
-//! Exact learned observations: kept as long as retention says, found again, and never wrong.
+//! Exact learned observations: kept as long as the retention demands, found again, and never wrong.
 
 use std::{fs, path::Path, path::PathBuf, sync::Arc};
 
@@ -55,7 +55,7 @@ fn names(directory: &Path) -> Vec<String> {
     names
 }
 
-/// Those of the first observations of one producer.
+/// The origins of the first observations of one producer.
 fn of_one(count: u32) -> Origins {
     Origins { runs: vec![OriginRun { producer: ProducerId(0), first: 1, count }], ..Origins::default() }
 }
@@ -111,7 +111,7 @@ fn many_states_are_found_as_each_is_by_itself() {
     let pieces = pieces(5);
     let history = fill(directory.path(), &spec("office"), &pieces).history(MAP).expect("known");
     let start = 19_001 * DAY_NANOS;
-    // In any order, one of them twice, one that does not exist.
+    // The requests are in any order, one of them twice, one for a state that does not exist.
     let wanted: Vec<ReadingsRequest> =
         [(4, 0), (0, start + DAY_NANOS), (9, 0), (3, i64::MIN), (0, start), (1, i64::MAX)]
             .map(|(state, from_nanos)| ReadingsRequest { state: StateId(state), from_nanos })
@@ -236,7 +236,7 @@ fn history_is_kept_for_days_that_updates_have_yet_to_learn() {
     let pieces = pieces(6);
     let spec = MapSpec { retention: Retention::Duration(2 * DAY_NANOS), ..spec("office") };
     let store = fill(directory.path(), &spec, &pieces[..2]);
-    // An import has reached a day far ahead of what was learned.
+    // An import has reached a day far later than the learned days.
     let ahead = MapSnapshot {
         history: vec![Arc::clone(&pieces[2])],
         newest_nanos: pieces[5].to_nanos,

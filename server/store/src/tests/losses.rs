@@ -28,14 +28,14 @@ fn findings(data: &Path, mode: Mode) -> Vec<Finding> {
     check(data, mode).expect("checks").findings
 }
 
-/// Files of the folder without the lock and the index, which looking at it changes.
+/// Files of the folder without the lock and the index, which a check changes.
 fn files(data: &Path) -> Vec<(PathBuf, Option<Vec<u8>>)> {
     let mut all = content(data);
     all.retain(|(path, _)| !path.starts_with(data.join("index")) && !path.ends_with("LOCK"));
     all
 }
 
-/// Checks that a loss is told, and hidden neither by looking nor by a repair; then accepts it.
+/// Checks that a loss is reported, and hidden neither by a check nor by a repair; then accepts it.
 fn accept(data: &Path, lost: &[&str]) {
     let before = files(data);
     for mode in [Mode::Look, Mode::Repair] {

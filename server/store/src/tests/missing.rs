@@ -1,4 +1,4 @@
-//! What must exist and is missing is noticed: history files, maps, segments, and the log that is being written.
+//! Missing files that must exist are noticed: history files, maps, segments, and the log that is being written.
 
 use std::{fs, path::Path, sync::Arc};
 
@@ -56,14 +56,14 @@ fn a_read_that_lacks_a_history_file_names_its_interval() {
     let wanted = |from_nanos| [ReadingsRequest { state: StateId(0), from_nanos }];
     let files = history.state_files().expect("listed");
     assert!(matches!(files.readings(&wanted(i64::MIN)), Err(HistoryError::Missing { .. })));
-    // What the file did not hold is still found.
+    // Observations that the file did not hold are still found.
     files.readings(&wanted(to_nanos + 1)).expect("complete");
     assert_eq!(history.state(StateId(0), 0, start).expect("whole"), whole);
 
     fs::remove_file(file.with_file_name("00000000000000000002.grid.tmh")).expect("removable");
     let days: Result<Vec<_>, _> = history.grid_days(0, i64::MAX, None).collect();
     assert!(matches!(days, Err(HistoryError::Missing { .. })));
-    // The map itself opens as before, and says the same afterwards.
+    // The map itself opens as before, and reports the same afterwards.
     store.open_map(MAP, &spec("office")).expect("opens");
     assert!(matches!(history.state(StateId(0), 0, i64::MAX), Err(HistoryError::Missing { .. })));
 }
@@ -100,7 +100,7 @@ fn maps_that_are_missing_or_damaged_are_set_aside_and_the_others_serve() {
         store.open_map(maps[2], &plain_spec("three")).expect("opens");
         assert_eq!(fs::read(&damaged).expect("there"), b"damaged");
     }
-    // Whoever does without the maps deletes them.
+    // An operator who goes on without the maps deletes them.
     let store = Store::open(directory.path(), options()).expect("opens");
     store.delete_map(maps[0]).expect("deletes");
     store.delete_map(maps[1]).expect("deletes");
@@ -131,7 +131,7 @@ fn a_missing_newest_segment_is_refused() {
     example.check(directory.path()).expect("opens");
 }
 
-/// What somebody does to the data folder of a running daemon.
+/// The harm that somebody does to the data folder of a running daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Harm {
     RemoveAll,

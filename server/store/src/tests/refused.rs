@@ -1,4 +1,4 @@
-//! What the disk or the machine refuses is no damage: nothing is set aside or rebuilt for it.
+//! A refusal of the disk or the machine is no damage: nothing is set aside or rebuilt for it.
 //!
 //! Invariant: when the disk gives the files again, all is used as it was before.
 
@@ -117,7 +117,7 @@ fn a_checkpoint_that_the_disk_refuses_stays_and_is_used_again() {
                     let is_trouble = |trouble: &Trouble| matches!(trouble, Trouble::Damaged { file, .. } if file.ends_with(checkpoint(15)));
                     assert!(store.trouble().iter().any(is_trouble), "{error}: {:?}", store.trouble());
                 }
-                // There is another reason to look at the machine before anything is opened.
+                // The refusal has another reason to check the machine before anything is opened.
                 Err(refused) => assert!(refused.is_shortage(), "{error}: {refused}"),
             }
         }
@@ -159,7 +159,7 @@ fn recovered(store: &Store) -> Vec<Repair> {
         if repairs.contains(&Repair::IndexRecovered) {
             return repairs;
         }
-        // What sled had open may take a moment to end.
+        // The open database of sled may take a moment to end.
         thread::sleep(Duration::from_millis(50));
     }
     panic!("the index is not opened again: {:?}", store.trouble());

@@ -102,7 +102,7 @@ fn without_its_beginning_a_log_is_not_opened_when_all_checkpoints_are_damaged() 
         Ok(_) => panic!("a map without its beginning was opened"),
     }
     assert!(super::example::content(&directory.path().join("maps")) == before, "something was changed");
-    // Also not after they were removed by hand.
+    // The map is not opened even after the checkpoints were removed by hand.
     for file in checkpoints(directory.path()) {
         fs::remove_file(file).expect("removable");
     }

@@ -1,4 +1,4 @@
-//! The end of a log after a power cut, and damage that only looks like one.
+//! The end of a log after a power cut, and damage that only resembles one.
 
 use std::fs;
 
@@ -65,7 +65,7 @@ fn a_sector_that_was_never_written_is_a_torn_tail() {
     let good = fs::read(&file).expect("readable");
     let offsets = frames(&good);
     example.end = 6;
-    // From the record's start, and from each sector within it, to the next sector or to the end.
+    // The zeros begin at the record's start, and at each sector within it, and reach to the next sector or to the end.
     let mut starts = vec![offsets[6]];
     starts.extend((offsets[6] + 1..good.len()).filter(|offset| offset % 512 == 0));
     for start in starts {
@@ -79,7 +79,7 @@ fn a_sector_that_was_never_written_is_a_torn_tail() {
     let mut longer = good[..offsets[6]].to_vec();
     longer.resize(offsets[6] + 2000, 0);
     fs::write(&file, &longer).expect("writable");
-    // Whether records were there that had been acknowledged is not known, and nobody calls it otherwise.
+    // It is not known whether records were there that had been acknowledged, and the finding states so.
     let known = "the last 2000 bytes are zero; records that were there may have been acknowledged";
     let finding = check(directory.path(), Mode::Look).expect("checks").findings.pop().expect("a finding");
     assert_eq!(finding.problem, known);

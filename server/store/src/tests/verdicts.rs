@@ -1,4 +1,4 @@
-//! What a check calls sound a start takes, and the other way round, whatever is wrong with one file.
+//! A start takes every directory that a check finds sound, and the other way round, whatever is wrong with one file.
 
 use std::{
     fs,
@@ -40,7 +40,7 @@ fn harm(how: Harm, file: &Path) {
     fs::write(file, bytes).expect("writable");
 }
 
-/// Whether a repair is of something that a kill leaves as well, which nobody calls damage.
+/// Whether a repair is of something that a kill leaves as well, which is no damage.
 fn is_of_a_kill(repair: &Repair) -> bool {
     match repair {
         Repair::TornTail { zero_bytes, .. } => *zero_bytes == 0,
@@ -50,7 +50,7 @@ fn is_of_a_kill(repair: &Repair) -> bool {
     }
 }
 
-/// What a start finds, and the first round in which it reads its files; `None`: nothing.
+/// The finding of a start, and of the first round in which it reads its files; `None`: nothing.
 fn start_finds(directory: &Path, spec: &MapSpec) -> Option<String> {
     let store = match Store::open(directory, options()) {
         Ok(store) => store,

@@ -26,7 +26,7 @@ use tidemap_store::{MapLog, Store, StoreOptions, digest};
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
-/// What updates have learned, by generation.
+/// The observations that updates have learned, by generation.
 #[derive(Clone, Debug, Default)]
 struct Learned(BTreeMap<u64, Arc<HistoryPiece>>);
 
@@ -68,7 +68,7 @@ impl Replica {
     ) -> Option<MapSnapshot> {
         let work = self.map.apply(position, event).expect("fits")?;
         let generation = work.start().generation;
-        // As a daemon has it: the readings of all updates before.
+        // The history is as a daemon has it: the readings of all updates before.
         let mut before = self.learned.clone();
         before.0.retain(|known, _| *known < generation);
         let work = prepare(work.with_readings(Arc::new(before)));

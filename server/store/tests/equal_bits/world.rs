@@ -1,7 +1,7 @@
 //! The log of an office: states of every kind, a grid that two sensors scan, and an update every night.
 //!
-//! Invariant: a function of the seed and the specification. Some observations come late, some are ahead of their time,
-//! and some wait for the next update.
+//! Invariant: a function of the seed and the specification. Some observations come late, some have a time in the
+//! future, and some wait for the next update.
 
 use std::sync::{Arc, atomic::AtomicU64};
 
@@ -33,7 +33,7 @@ const TILES: u32 = 6;
 /// States of the office; those that are made up come after them.
 const ROWS: [&str; 4] = ["front door", "bell", "boiler", "lift"];
 
-/// What is written into the log so far.
+/// The log written so far.
 struct Writer {
     map: LiveMap,
     events: Vec<Event>,
@@ -115,7 +115,7 @@ impl Writer {
         let hold = Hold::new(7 * 86_400, 600).expect("valid");
         let mut id = 0;
         for (number, state) in office.states().iter().enumerate() {
-            // Of some doors the sensor is known.
+            // The sensor of some doors is known.
             let sensor = (number % 3 == 1).then(|| StateSensor::new(0.9, 0.05).expect("a sensor"));
             let door = NewState { sensor, ..NewState::sampled(StateId(id), name(state), StateKind::Probability) };
             self.apply(Event::AddState(door));

@@ -1,6 +1,7 @@
-//! What one sender's imports take of others: turns, the processor, and programs that outlive who waits for them.
+//! The resources that one sender's imports take from others: turns, the processor, and programs that outlive the client
+//! that waits for them.
 //!
-//! Invariant: the programs are those that the daemon starts. What is said of a process is read from the system.
+//! Invariant: the programs are those that the daemon starts. The data of a process is read from the system.
 
 use std::{io::Read as _, os::unix::net::UnixListener, process::Command};
 
@@ -67,7 +68,7 @@ fn a_program_has_limits_and_ends_with_a_daemon_that_is_killed() {
     let answer = running(&daemon, "large/recordings/door.bag", &large);
     let found = programs(data.path());
     let [program] = found[..] else { panic!("one program: {found:?}") };
-    // It lowers its priority last of what it does at its start. While it is stopped it does nothing by itself.
+    // Lowering its priority is its last step at the start. While it is stopped it does nothing by itself.
     eventually("it leaves the processor to others", || niceness(program).as_deref() == Some("19"));
     signal(program, Signal::STOP);
     let limits = fs::read_to_string(format!("/proc/{program}/limits")).expect("its limits");
@@ -89,7 +90,7 @@ fn a_program_that_survived_ends_when_the_next_daemon_starts() {
     let folder = data.path().join("uploads/3/recording");
     fs::create_dir_all(&folder).expect("a folder");
     fs::write(folder.join("door.bag"), door(4)).expect("a file");
-    // A daemon that takes connections and does not answer.
+    // A daemon that takes connections and does not reply.
     let _silent = UnixListener::bind(data.path().join("uploads/3/socket")).expect("a socket");
     let mut survivor = Command::new(binaries::tidemap())
         .args(["import", "--patience", "10m", "flat", "door.bag"])
@@ -124,7 +125,7 @@ fn an_import_ends_with_its_token() {
         socket.write_all(head.as_bytes()).expect("a request");
         socket
     };
-    // One runs, of which nothing more comes while it is stopped; the file of the other still arrives.
+    // One import runs, of which nothing more comes while it is stopped; the file of the other still arrives.
     let mut running = begin("large", &first);
     running.write_all(&large).expect("the file");
     eventually("it runs", || !programs(&data).is_empty());

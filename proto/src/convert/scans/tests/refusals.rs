@@ -1,4 +1,4 @@
-//! What is wrong refuses a scan, or ends the stream, and says the value.
+//! An error refuses a scan, or ends the stream, and its text contains the value.
 
 use super::*;
 
@@ -79,7 +79,7 @@ fn flips_of_what_a_malformed_scan_named_need_masks_first() {
         taken(&mut decoder, &[], masked(slot));
         taken(&mut decoder, &[], flips(&[], &[slot * 512 + 9], &[]));
     }
-    // Nobody knows which slots these were.
+    // The slots of this scan are not known.
     let garbled = v1::TileScan { observed_flips: vec![5, u32::MAX], ..v1::TileScan::default() };
     refused(&mut decoder, Content::Tiles(garbled), RefusalReason::Scan, "beyond any cell");
     refused(&mut decoder, flips(&[], &[1030], &[]), RefusalReason::Scan, "send the slot's masks whole");

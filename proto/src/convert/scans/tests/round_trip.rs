@@ -1,4 +1,4 @@
-//! What is encoded is decoded, in whatever pieces it travels.
+//! Encoded scans are decoded, in whatever pieces they travel.
 
 use std::{collections::BTreeMap, sync::Arc};
 

@@ -29,7 +29,7 @@ impl StateReadings for Files {
     }
 }
 
-/// What a producer observes in a half day, without what is selected.
+/// The observations of a producer in a half day, without the selected ones.
 fn observed(half_day: i64, without: &Selection) -> Event {
     let producer = ProducerId(u32::try_from(half_day % 2).expect("small"));
     let all = (0..12).flat_map(|hour| (0..STATES).map(move |state| (StateId(state), half_day * 12 + hour)));
@@ -170,7 +170,7 @@ fn a_forgotten_sequence_leaves_its_key_free_and_its_states() {
     let erase = |producer| store.erase_part(MAP, &select(None, Some(producer), 0..i64::MAX), true).expect("erases");
     assert!(erase(1).observations > 0);
     assert!(erase(0).observations > 0);
-    // There is nothing more, and another key is free.
+    // The order erases nothing more, and another key is free.
     assert_eq!(erase(0), Erased::default());
     let now = content(&store, &spec);
     let labels: Vec<&str> = now.snapshot.producers.iter().map(|mark| mark.key.label()).collect();

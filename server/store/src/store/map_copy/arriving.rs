@@ -89,7 +89,7 @@ impl ArrivingFile {
         Ok(FileHeader { map: self.map, ..header }.encode().to_vec())
     }
 
-    /// What is written behind the last part.
+    /// The bytes that are written behind the last part.
     fn trailer(&self) -> Result<Vec<u8>, CopyError> {
         if self.kind == CopiedFile::Segment {
             return Ok(Vec::new());

@@ -102,7 +102,7 @@ impl MapCopy {
         self.end.unwrap_or(0)
     }
 
-    /// How much has arrived.
+    /// The amount of data that has arrived.
     #[must_use]
     pub fn arrived(&self) -> CopyTotal {
         CopyTotal { files: self.arrived.0.len() as u64, bytes: self.bytes }
@@ -206,7 +206,7 @@ impl MapCopy {
 impl Drop for MapCopy {
     fn drop(&mut self) {
         if !self.is_installed {
-            // If this fails, the next start removes it.
+            // If this fails, the next start removes the folder.
             let _ = self.store.inner().disk.remove_folder(&self.folder);
         }
     }
@@ -254,7 +254,7 @@ fn put_in_place(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<
     Ok(aside)
 }
 
-/// Before the maps are listed at a start: puts copies in their places that were complete.
+/// Runs before the maps are listed at a start: puts copies in their places that were complete.
 pub(crate) fn complete(
     disk: &dyn Disk,
     directory: &Path,

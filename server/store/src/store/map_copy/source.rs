@@ -1,11 +1,11 @@
-//! What a store gives of a map that is in use.
+//! The copy that a store gives of a map that is in use.
 //!
 //! Checkpoints and segments are opened before anything is read, so that they stay readable when the map is saved
 //! meanwhile. Files of the history are opened one after the other, because there may be many: one that was deleted
 //! meanwhile ends the copy with an error.
 //!
-//! Invariant: only what is durable is given, and the log reaches from the first record that the checkpoint needs to
-//! the end as it was at the beginning.
+//! Invariant: only durable data is given, and the log reaches from the first record that the checkpoint needs to the
+//! end as it was at the beginning.
 
 use std::{
     collections::VecDeque,
@@ -48,14 +48,14 @@ pub struct CopySource {
 }
 
 impl Store {
-    /// What another store needs to have an open map as it is now. Saves go on meanwhile.
+    /// The data that another store needs to have an open map as it is now. Saves go on meanwhile.
     ///
     /// # Errors
     /// [`CopyError`].
     pub fn copy_source(&self, map: MapId) -> Result<CopySource, CopyError> {
         let inner = self.inner();
         let entry = inner.entry(map).ok_or(OpenError::UnknownMap(map))?;
-        // Nothing is saved or deleted meanwhile, so that what is opened belongs together.
+        // Nothing is saved or deleted meanwhile, so that the opened files belong together.
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         let checkpoint = newest_checkpoint(&inner.checkpoints(map))?;
         let mut files = VecDeque::new();
@@ -81,7 +81,7 @@ fn name(kind: CopiedFile, path: &Path) -> String {
     format!("{}/{file}", kind.folder())
 }
 
-/// The newest checkpoint that says from which record on it needs the log; `None`: there is none.
+/// The newest checkpoint, with the record from which on it needs the log; `None`: there is none.
 fn newest_checkpoint(checkpoints: &Checkpoints<'_>) -> Result<Option<(PathBuf, u64)>, CopyError> {
     let positions = checkpoints.positions().map_err(open_io(&checkpoints.folder))?;
     let found = positions.iter().rev().find_map(|&position| {
@@ -112,7 +112,7 @@ fn segments(inner: &OpenStore, map: MapId, entry: &MapEntry, needed: Option<u64>
     };
     let folder = folders::log_folder(&inner.directory, map);
     let names = inner.disk.list(&folder).map_err(open_io(&folder))?;
-    // One that was created after the look at the writer is left out.
+    // A segment that was created after the newest one was read from the writer is left out.
     let present = names.iter().filter_map(|name| segment_position(name)).filter(|&first| first <= newest);
     let present: Vec<u64> = present.collect();
     let begin = present.iter().rposition(|&first| first <= needed.unwrap_or(1));
@@ -125,7 +125,7 @@ fn segments(inner: &OpenStore, map: MapId, entry: &MapEntry, needed: Option<u64>
 }
 
 impl CopySource {
-    /// How much is given in total.
+    /// The total amount of data that is given.
     #[must_use]
     pub fn total(&self) -> CopyTotal {
         self.total
