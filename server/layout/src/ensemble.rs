@@ -6,20 +6,20 @@
 /// All that an ensemble of probabilities has learned; absent where it is not enabled.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Ensemble {
-    /// Sum and number of all looks.
+    /// Sum and number of all bins.
     #[prost(fixed64, repeated, tag = "1")]
-    pub looks_bits: Vec<u64>,
+    pub bins_bits: Vec<u64>,
     /// The last learned day, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "2")]
     pub last_day: Option<i32>,
-    /// Singles of the table of all history: 168 sums, 168 numbers of looks by hour of the week from Monday on, 24
+    /// Singles of the table of all history: 168 sums, 168 numbers of bins by hour of the week from Monday on, 24
     /// weights of priors.
     #[prost(bytes = "vec", tag = "3")]
     pub all: Vec<u8>,
     /// Likewise of the table with a half-life of a week.
     #[prost(bytes = "vec", tag = "4")]
     pub recent: Vec<u8>,
-    /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest looks, below 0 for
+    /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest bins, below 0 for
     /// none.
     #[prost(bytes = "vec", tag = "5")]
     pub alike: Vec<u8>,
@@ -38,7 +38,7 @@ pub struct Ensemble {
     pub rotations: Vec<u8>,
     /// Means of five days.
     #[prost(message, repeated, tag = "10")]
-    pub bins: Vec<Bin>,
+    pub five_days: Vec<FiveDays>,
     /// The first day of the season.
     #[prost(sint32, optional, tag = "11")]
     pub season_first: Option<i32>,
@@ -69,14 +69,14 @@ pub struct Ensemble {
     /// The smooth table by hour of weekdays, then of weekends; empty where there is none.
     #[prost(fixed64, repeated, tag = "20")]
     pub smooth_bits: Vec<u64>,
-    /// The number of looks for which the smooth table was made.
+    /// The number of bins for which the smooth table was made.
     #[prost(fixed64, tag = "21")]
-    pub smooth_looks_bits: u64,
+    pub smooth_bins_bits: u64,
 }
 
-/// The looks of five days.
+/// The bins of five days.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
-pub struct Bin {
+pub struct FiveDays {
     /// The first observed day.
     #[prost(sint32, tag = "1")]
     pub day: i32,
@@ -85,26 +85,26 @@ pub struct Bin {
     pub mean_bits: u32,
     /// Their number, the bits of a single.
     #[prost(fixed32, tag = "3")]
-    pub looks_bits: u32,
+    pub bins_bits: u32,
 }
 
 /// A class of the time ahead.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Class {
-    /// Singles: the losses of the members far ahead, looks explained by the pool, by the mean, and number of looks.
+    /// Singles: the losses of the members far ahead, bins explained by the pool, by the mean, and number of bins.
     #[prost(bytes = "vec", tag = "1")]
     pub numbers: Vec<u8>,
-    /// What was said at the last turn of the class.
+    /// What was stored at the last turn of the class.
     #[prost(message, optional, tag = "2")]
-    pub newer: Option<Said>,
+    pub newer: Option<StoredForecast>,
     /// And at the one before.
     #[prost(message, optional, tag = "3")]
-    pub older: Option<Said>,
+    pub older: Option<StoredForecast>,
 }
 
-/// What the members said of the week at the end of a day.
+/// What the members stored of the week at the end of a day.
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Said {
+pub struct StoredForecast {
     /// The day.
     #[prost(sint32, tag = "1")]
     pub day: i32,
@@ -126,11 +126,11 @@ pub struct NumberEnsemble {
     #[prost(sint32, optional, tag = "1")]
     pub last_day: Option<i32>,
     /// Doubles, little-endian, all values relative to the first look. In turn: the first look; number, mean and summed
-    /// squared deviations of all looks; losses of 11 members, and the looks that they are of; by hour of the day 24
-    /// sums and 24 numbers of looks for each weekday from Monday on, then of weekdays and of the weekend in tables with
+    /// squared deviations of all bins; losses of 11 members, and the bins that they are of; by hour of the day 24
+    /// sums and 24 numbers of bins for each weekday from Monday on, then of weekdays and of the weekend in tables with
     /// half-lives of 21, 7 and 2 days; of the slow and of the fast stack 121 sums of squares, 11 of products, 11
     /// weights; by hour of weekdays, then of the weekend sum of squares and number of errors; of each class of the time
-    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their looks,
+    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their bins,
     /// sum of squares and number of errors, four means of tables at its last turn, and at the one before; of each of 14
     /// days, by its number modulo 14, 48 values by half-hour.
     #[prost(bytes = "vec", tag = "2")]

@@ -19,7 +19,7 @@ use crate::{
 mod ahead;
 mod dwell;
 mod filter;
-mod lag;
+mod lead_time;
 mod learn;
 mod noise;
 mod parts;
@@ -30,7 +30,7 @@ mod tests;
 
 use ahead::Ahead;
 use dwell::Dwells;
-use lag::LagWeights;
+use lead_time::LeadTimeWeights;
 pub use noise::SensorNoise;
 pub use parts::{BeliefParts, GapCountParts, OpenDwell};
 pub use recent::{Recent, RecentSpan, SPANS_MAX};
@@ -100,7 +100,7 @@ pub struct Belief {
     gain: f64,
     days: u32,
     dwells: Dwells,
-    weights: LagWeights,
+    weights: LeadTimeWeights,
 }
 
 impl Belief {
@@ -120,7 +120,7 @@ impl Belief {
             gain: 0.0,
             days: 0,
             dwells: Dwells::default(),
-            weights: LagWeights::default(),
+            weights: LeadTimeWeights::default(),
         }
     }
 
@@ -173,13 +173,13 @@ impl Belief {
     /// now; predictions for times before the newest reading stay as they are. `out` is as long as the moments.
     pub fn blend_into(&self, recent: &Recent, newest: Option<(i64, f64)>, moments: &[Moment], out: &mut [f64]) {
         let Some((newest_nanos, value)) = newest else { return };
-        let lags = moments.iter().map(|moment| lag_secs(newest_nanos, moment.utc_nanos));
-        let longest = lags.clone().flatten().fold(0.0, f64::max);
+        let lead_times = moments.iter().map(|moment| lead_secs(newest_nanos, moment.utc_nanos));
+        let longest = lead_times.clone().flatten().fold(0.0, f64::max);
         let ahead = self.ahead(recent, (newest_nanos, value), longest);
-        for (out, lag) in out.iter_mut().zip(lags) {
-            let Some(lag) = lag else { continue };
-            let weight = self.weights.at(lag, self.trust_secs());
-            *out += weight * (self.reading(ahead.at(lag)) - *out);
+        for (out, lead) in out.iter_mut().zip(lead_times) {
+            let Some(lead) = lead else { continue };
+            let weight = self.weights.at(lead, self.trust_secs());
+            *out += weight * (self.reading(ahead.at(lead)) - *out);
         }
     }
 
@@ -199,32 +199,32 @@ impl Belief {
 
     /// The expected reading for a forecast of the state. A prediction is one of the next reading, as all learned data
     /// is of readings: readings that count as errors may also be short changes of the state.
-    fn reading(&self, said: f64) -> f64 {
-        if self.has_two_values { self.noise().reading(said) } else { said }
+    fn reading(&self, stored: f64) -> f64 {
+        if self.has_two_values { self.noise().reading(stored) } else { stored }
     }
 
     /// For how long the newest readings are trusted while lead times are not yet scored, in seconds.
     fn trust_secs(&self) -> f64 {
-        if self.has_two_values { lag::TRUSTED_TIMES / self.rates().sum() } else { lag::PRIOR_TRUST_SECS }
+        if self.has_two_values { lead_time::TRUSTED_TIMES / self.rates().sum() } else { lead_time::PRIOR_TRUST_SECS }
     }
 }
 
 /// Seconds from the newest reading to a time; `None` before it.
-fn lag_secs(newest_nanos: i64, utc_nanos: i64) -> Option<f64> {
+fn lead_secs(newest_nanos: i64, utc_nanos: i64) -> Option<f64> {
     (utc_nanos >= newest_nanos).then(|| utc_nanos.abs_diff(newest_nanos) as f64 / 1e9)
 }
 
 /// A reading of a state of two values: UTC nanoseconds, and whether it was 1.
-type Look = (i64, bool);
+type Bin = (i64, bool);
 
 /// The readings after a time, each newer than the one before.
-fn looks_after(last_nanos: Option<i64>, samples: &[Sample]) -> Vec<Look> {
-    let mut looks: Vec<Look> = Vec::with_capacity(samples.len());
+fn bins_after(last_nanos: Option<i64>, samples: &[Sample]) -> Vec<Bin> {
+    let mut bins: Vec<Bin> = Vec::with_capacity(samples.len());
     for sample in samples {
-        let last = looks.last().map(|(nanos, _)| *nanos).or(last_nanos);
+        let last = bins.last().map(|(nanos, _)| *nanos).or(last_nanos);
         if last.is_none_or(|last| sample.utc_nanos > last) {
-            looks.push((sample.utc_nanos, sample.value >= 0.5));
+            bins.push((sample.utc_nanos, sample.value >= 0.5));
         }
     }
-    looks
+    bins
 }

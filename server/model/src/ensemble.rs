@@ -3,7 +3,7 @@
 //! The members are tables by hour of the week with all history and with a half-life of a week, rotations of some days,
 //! the last days of the same kind, the same weekday of the month, a smooth table for few bins, stacks of all of these
 //! and of the residuals of the last days, and the model that the nightly update chose. A half-hour bin is the mean of
-//! the readings of one half-hour of one day ([`looks`]): more readings in a bin add no certainty. Each local day is
+//! the readings of one half-hour of one day ([`bins`]): more readings in a bin add no certainty. Each local day is
 //! predicted, the members are scored on its bins (T-RO section IV.B), and then the day is learned. Up to a lead time of
 //! six days the pool of the next days predicts; at longer lead times the members are weighted by how well they
 //! predicted at such lead times ([`outlook`]). At hours with very few bins the smooth table predicts.
@@ -14,7 +14,7 @@
 mod any;
 mod calibration;
 mod forecast;
-mod looks;
+mod bins;
 mod numbers;
 mod outlook;
 mod parts;
@@ -32,10 +32,10 @@ use std::sync::OnceLock;
 pub use any::AnyEnsemble;
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
-use looks::{DayLooks, SLOT_NANOS, SLOTS, slot_at};
+use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 pub use numbers::{NumberEnsemble, NumberEnsembleParts, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
-pub use parts::{ClassParts, EnsembleParts, SaidParts};
+pub use parts::{ClassParts, EnsembleParts, StoredForecastParts};
 use pool::{Member, Pool};
 use recall::Recall;
 use rotation::Rotation;
@@ -48,7 +48,7 @@ use week_table::WeekTable;
 use crate::special::square;
 use crate::{
     LocalDay, Sample,
-    hours_seen::{HOURS, equivalent_looks, kind_of_day},
+    hours_seen::{HOURS, equivalent_bins, kind_of_day},
     models::TemporalModel,
 };
 
@@ -62,13 +62,13 @@ const ALIKE_KEPT: f64 = 0.7;
 /// The smooth table is computed again when the number of bins has grown by this share.
 const SMOOTH_GROWTH: f64 = 0.05;
 /// With this many equivalent bins at every hour the smooth table is not needed.
-const SMOOTH_LOOKS: f64 = 8.0;
+const SMOOTH_BINS: f64 = 8.0;
 
 /// The last days of weekdays and of weekends, by half-hour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct AlikeDays {
     sums: [[f32; SLOTS]; 2],
-    looks: [[f32; SLOTS]; 2],
+    bins: [[f32; SLOTS]; 2],
     /// The value of the newest bin; negative: none.
     last: [[f32; SLOTS]; 2],
 }
@@ -84,7 +84,7 @@ struct FarView {
 #[derive(Clone, Debug)]
 pub struct Ensemble {
     sum: f64,
-    looks: f64,
+    bins: f64,
     all: WeekTable,
     recent: WeekTable,
     alike: AlikeDays,
@@ -96,7 +96,7 @@ pub struct Ensemble {
     outlook: Outlook,
     calibration: Calibration,
     smooth: Option<KindHours>,
-    smooth_looks: f64,
+    smooth_bins: f64,
     /// Equivalent number of bins of each hour; follows from the table of all history.
     known: KindHours,
     /// Computed on demand from the other fields.
@@ -130,10 +130,10 @@ impl Ensemble {
     pub fn new() -> Ensemble {
         Ensemble {
             sum: 0.0,
-            looks: 0.0,
+            bins: 0.0,
             all: WeekTable::new(None),
             recent: WeekTable::new(Some(RECENT_DAYS)),
-            alike: AlikeDays { sums: [[0.0; SLOTS]; 2], looks: [[0.0; SLOTS]; 2], last: [[-1.0; SLOTS]; 2] },
+            alike: AlikeDays { sums: [[0.0; SLOTS]; 2], bins: [[0.0; SLOTS]; 2], last: [[-1.0; SLOTS]; 2] },
             recall: Recall::new(),
             rotation: Rotation::new(),
             season: Season::new(),
@@ -142,7 +142,7 @@ impl Ensemble {
             outlook: Outlook::new(),
             calibration: Calibration::new(),
             smooth: None,
-            smooth_looks: 0.0,
+            smooth_bins: 0.0,
             known: [[0.0; HOURS]; 2],
             far: OnceLock::new(),
             prepared: None,
@@ -150,8 +150,8 @@ impl Ensemble {
     }
 
     /// Number of learned bins: half-hours of single days with a reading.
-    pub fn looks(&self) -> f64 {
-        self.looks
+    pub fn bins(&self) -> f64 {
+        self.bins
     }
 
     /// The last learned day.
@@ -161,7 +161,7 @@ impl Ensemble {
 
     /// The mean of all bins and of one further bin with the value 0.5.
     pub fn mean(&self) -> f64 {
-        (self.sum + 0.5) / (self.looks + 1.0)
+        (self.sum + 0.5) / (self.bins + 1.0)
     }
 
     /// Predicts a day that is about to be learned, once for all callers that score its readings. A day that is not
@@ -196,36 +196,36 @@ impl Ensemble {
         newer: &[Sample],
         chosen: &dyn TemporalModel,
     ) -> Option<f64> {
-        let parts = look_parts(samples, chosen);
-        let forecast = self.learn(day, &DayLooks::of_samples(samples), chosen, &look_losses(&parts));
+        let parts = bin_parts(samples, chosen);
+        let forecast = self.learn(day, &DayBins::of_samples(samples), chosen, &bin_losses(&parts));
         let forecast = forecast?;
-        let error = |parts: &[LookPart]| parts.iter().map(|part| part.squared_error(&forecast)).sum();
-        Some(if newer.len() == samples.len() { error(&parts) } else { error(&look_parts(newer, chosen)) })
+        let error = |parts: &[BinPart]| parts.iter().map(|part| part.squared_error(&forecast)).sum();
+        Some(if newer.len() == samples.len() { error(&parts) } else { error(&bin_parts(newer, chosen)) })
     }
 
     fn learn(
         &mut self,
         day: LocalDay,
-        looks: &DayLooks,
+        bins: &DayBins,
         chosen: &dyn TemporalModel,
         chosen_losses: &[f64; SLOTS],
     ) -> Option<DayForecast> {
-        if looks.is_empty() {
+        if bins.is_empty() {
             return None;
         }
         let last = self.recall.last();
         self.prepare(day, chosen);
         self.far.take();
         let Some(prepared) = self.prepared.take() else {
-            self.add_late(day, looks);
+            self.add_late(day, bins);
             return None;
         };
         let PreparedDay { members, forecast, .. } = *prepared;
         for stack in &mut self.stacks {
-            stack.learn(&members.features, looks);
+            stack.learn(&members.features, bins);
         }
         let mut losses = [0.0; pool::MEMBERS];
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             for (loss, predicted) in losses.iter_mut().zip(&members.values) {
                 *loss += pool::loss(predicted[slot], value);
             }
@@ -233,18 +233,18 @@ impl Ensemble {
             *own += chosen_losses[slot] - pool::loss(members.values[Member::Chosen as usize][slot], value);
         }
         self.pool.learn(&losses);
-        self.calibration.learn(&forecast, looks);
-        self.outlook.judge(day, looks, &self.season);
+        self.calibration.learn(&forecast, bins);
+        self.outlook.judge(day, bins, &self.season);
         let weekday = day.weekday();
-        self.all.learn(weekday, looks, &members.all);
-        self.recent.learn(weekday, looks, &members.recent);
+        self.all.learn(weekday, bins, &members.all);
+        self.recent.learn(weekday, bins, &members.recent);
         let mut residuals = [0.0; SLOTS];
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             residuals[slot] = value - clip(members.all.weekday[slot / 2]);
         }
         self.rotation.learn(day, &residuals);
-        self.learn_alike(kind_of_day(weekday), looks);
-        self.add(day, looks);
+        self.learn_alike(kind_of_day(weekday), bins);
+        self.add(day, bins);
         self.make_smooth();
         let turns = Outlook::turns(last, day);
         if turns.contains(&true) {
@@ -254,21 +254,21 @@ impl Ensemble {
         Some(forecast)
     }
 
-    fn add(&mut self, day: LocalDay, looks: &DayLooks) {
-        let (sum, number) = looks.seen().fold((0.0, 0.0), |(sum, number), (_, value)| (sum + value, number + 1.0));
+    fn add(&mut self, day: LocalDay, bins: &DayBins) {
+        let (sum, number) = bins.seen().fold((0.0, 0.0), |(sum, number), (_, value)| (sum + value, number + 1.0));
         self.sum += sum;
-        self.looks += number;
+        self.bins += number;
         self.season.learn(day, sum, number);
-        self.recall.learn(day, looks);
+        self.recall.learn(day, bins);
     }
 
     /// Adds the bins of a day that is not the newest.
-    fn add_late(&mut self, day: LocalDay, looks: &DayLooks) {
+    fn add_late(&mut self, day: LocalDay, bins: &DayBins) {
         let age_days = self.recall.last().map_or(0.0, |last| f64::from(last.0) - f64::from(day.0));
         for table in [&mut self.all, &mut self.recent] {
-            table.add(day.weekday(), looks, table.weight_at_age(age_days));
+            table.add(day.weekday(), bins, table.weight_at_age(age_days));
         }
-        self.add(day, looks);
+        self.add(day, bins);
         self.make_smooth();
     }
 
@@ -284,15 +284,15 @@ impl Ensemble {
             let of_kind = (1..=days.min(4 * 7))
                 .filter(|back| kind_of_day(LocalDay(day.0.saturating_sub(*back as i32)).weekday()) == kind);
             let factor = libm::pow(ALIKE_KEPT, of_kind.count() as f64) as f32;
-            let numbers = self.alike.sums[kind].iter_mut().chain(&mut self.alike.looks[kind]);
+            let numbers = self.alike.sums[kind].iter_mut().chain(&mut self.alike.bins[kind]);
             numbers.for_each(|number| *number *= factor);
         }
     }
 
-    fn learn_alike(&mut self, kind: usize, looks: &DayLooks) {
-        let (sums, numbers) = (&mut self.alike.sums[kind], &mut self.alike.looks[kind]);
+    fn learn_alike(&mut self, kind: usize, bins: &DayBins) {
+        let (sums, numbers) = (&mut self.alike.sums[kind], &mut self.alike.bins[kind]);
         sums.iter_mut().chain(numbers.iter_mut()).for_each(|number| *number *= ALIKE_KEPT as f32);
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             sums[slot] += value as f32;
             numbers[slot] += 1.0;
             self.alike.last[kind][slot] = value as f32;
@@ -301,13 +301,13 @@ impl Ensemble {
 
     /// Computes the smooth table again where that is due. When it is due depends on the number of bins alone.
     fn make_smooth(&mut self) {
-        self.known = equivalent_looks(&self.all.looks_by_kind());
-        let needed = self.known.as_flattened().iter().any(|&looks| looks < SMOOTH_LOOKS);
+        self.known = equivalent_bins(&self.all.bins_by_kind());
+        let needed = self.known.as_flattened().iter().any(|&bins| bins < SMOOTH_BINS);
         if !needed {
             self.smooth = None;
-        } else if self.smooth.is_none() || self.looks >= self.smooth_looks * (1.0 + SMOOTH_GROWTH) {
+        } else if self.smooth.is_none() || self.bins >= self.smooth_bins * (1.0 + SMOOTH_GROWTH) {
             self.smooth = Some(smooth_table(&self.all));
-            self.smooth_looks = self.looks;
+            self.smooth_bins = self.bins;
         }
     }
 
@@ -347,7 +347,7 @@ impl Ensemble {
 const PARTS_JUDGED: usize = 6;
 
 /// Successive readings of one bin, with the prediction of the chosen model at the middle one.
-struct LookPart {
+struct BinPart {
     slot: usize,
     number: f64,
     mean: f64,
@@ -356,7 +356,7 @@ struct LookPart {
     chosen: f64,
 }
 
-impl LookPart {
+impl BinPart {
     /// The squared error of a forecast, summed over the readings.
     fn squared_error(&self, forecast: &DayForecast) -> f64 {
         let predicted = forecast.with_chosen(self.slot, self.chosen);
@@ -365,30 +365,30 @@ impl LookPart {
 }
 
 /// At most [`PARTS_JUDGED`] parts of each bin. `samples`: the readings of one day, in order of time.
-fn look_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<LookPart> {
+fn bin_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<BinPart> {
     let slot = |sample: &Sample| slot_at(sample.civil_nanos());
-    let looks = samples.chunk_by(|one, next| slot(one) == slot(next));
-    let parts = looks.flat_map(|look| look.chunks(look.len().div_ceil(PARTS_JUDGED)));
+    let bins = samples.chunk_by(|one, next| slot(one) == slot(next));
+    let parts = bins.flat_map(|bin| bin.chunks(bin.len().div_ceil(PARTS_JUDGED)));
     let part = |part: &[Sample]| {
         let middle = part.get(part.len() / 2)?;
         let number = part.len() as f64;
         let mean = part.iter().map(|sample| sample.value).sum::<f64>() / number;
         let scatter = part.iter().map(|sample| square(sample.value - mean)).sum();
-        Some(LookPart { slot: slot(middle), number, mean, scatter, chosen: model.predict(middle.moment()) })
+        Some(BinPart { slot: slot(middle), number, mean, scatter, chosen: model.predict(middle.moment()) })
     };
     parts.filter_map(part).collect()
 }
 
 /// The loss of the chosen model in each bin of a day: the mean over the parts of the bin.
-fn look_losses(parts: &[LookPart]) -> [f64; SLOTS] {
+fn bin_losses(parts: &[BinPart]) -> [f64; SLOTS] {
     let mut losses = [0.0; SLOTS];
-    for look in parts.chunk_by(|one, next| one.slot == next.slot) {
-        let number: f64 = look.iter().map(|part| part.number).sum();
-        let mean = look.iter().map(|part| part.number * part.mean).sum::<f64>() / number;
+    for bin in parts.chunk_by(|one, next| one.slot == next.slot) {
+        let number: f64 = bin.iter().map(|part| part.number).sum();
+        let mean = bin.iter().map(|part| part.number * part.mean).sum::<f64>() / number;
         // Differences between the parts of a bin do not count as errors of the model.
-        let loss = |part: &LookPart| part.number * (pool::loss(part.chosen, part.mean) - square(part.mean - mean));
-        if let Some(first) = look.first() {
-            losses[first.slot] = look.iter().map(loss).sum::<f64>() / number;
+        let loss = |part: &BinPart| part.number * (pool::loss(part.chosen, part.mean) - square(part.mean - mean));
+        if let Some(first) = bin.first() {
+            losses[first.slot] = bin.iter().map(loss).sum::<f64>() / number;
         }
     }
     losses

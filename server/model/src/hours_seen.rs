@@ -29,19 +29,19 @@ const SHARE_MAX: f64 = 0.95;
 /// The number of bins with which a prediction keeps half of its model's distance from the mean.
 const HALF_KEPT: f64 = 0.5;
 /// The number of bins that the mean counts as, if a model is certain.
-const MEAN_LOOKS: f64 = 0.5;
+const MEAN_BINS: f64 = 0.5;
 /// Steps of the stored numbers in a doubling of 1 + 4 bins.
 const STEPS: f64 = 16.0;
 /// The stored number of an hour that counts as known, whatever the number of bins.
 const KNOWN: u8 = u8::MAX;
 
-/// The equivalent number of bins by hour, of weekdays, then of weekends. `looks`: the number of observed bins in the
+/// The equivalent number of bins by hour, of weekdays, then of weekends. `bins`: the number of observed bins in the
 /// same order.
-pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
-    let mut equivalent = *looks;
+pub(crate) fn equivalent_bins(bins: &[Hours; 2]) -> [Hours; 2] {
+    let mut equivalent = *bins;
     for (kind, hours) in equivalent.iter_mut().enumerate() {
         for (hour, known) in hours.iter_mut().enumerate() {
-            for (other_kind, of_kind) in looks.iter().enumerate() {
+            for (other_kind, of_kind) in bins.iter().enumerate() {
                 for (apart, &near) in NEAR.iter().enumerate() {
                     let share = if other_kind == kind { near } else { near * OTHER_KIND };
                     let mut add = |number: f64| {
@@ -66,8 +66,8 @@ pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
 }
 
 /// The weight of the members' prediction at an hour with so many equivalent bins; the smooth table has the rest.
-pub(crate) fn evidence(equivalent_looks: f64) -> f64 {
-    let square = equivalent_looks * equivalent_looks;
+pub(crate) fn evidence(equivalent_bins: f64) -> f64 {
+    let square = equivalent_bins * equivalent_bins;
     square / (square + HALF_KEPT * HALF_KEPT)
 }
 
@@ -94,9 +94,9 @@ impl Default for HoursSeen {
 
 impl HoursSeen {
     /// Computes the evidence from the number of bins at each hour of weekdays, then of weekends.
-    pub fn of_looks(looks: &[[f64; 24]; 2]) -> HoursSeen {
-        let steps = |looks: f64| (STEPS * libm::log2(1.0 + 4.0 * looks.max(0.0))).min(f64::from(KNOWN - 1)) as u8;
-        HoursSeen { steps: equivalent_looks(looks).map(|hours| hours.map(steps)) }
+    pub fn of_bins(bins: &[[f64; 24]; 2]) -> HoursSeen {
+        let steps = |bins: f64| (STEPS * libm::log2(1.0 + 4.0 * bins.max(0.0))).min(f64::from(KNOWN - 1)) as u8;
+        HoursSeen { steps: equivalent_bins(bins).map(|hours| hours.map(steps)) }
     }
 
     /// The effect of the evidence on predictions for a local civil time, in nanoseconds since 1970-01-01T00:00 local.
@@ -106,8 +106,8 @@ impl HoursSeen {
         if steps == KNOWN {
             return Evidence::WHOLE;
         }
-        let looks = (libm::exp2(f64::from(steps) / STEPS) - 1.0) / 4.0;
-        Evidence { kept: evidence(looks), of_mean: MEAN_LOOKS / (MEAN_LOOKS + looks) }
+        let bins = (libm::exp2(f64::from(steps) / STEPS) - 1.0) / 4.0;
+        Evidence { kept: evidence(bins), of_mean: MEAN_BINS / (MEAN_BINS + bins) }
     }
 
     /// The bytes to store: weekdays, then weekends.
@@ -154,10 +154,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn looks_tell_of_hours_nearby_and_not_of_others() {
-        let mut looks = [[0.0; HOURS]; 2];
-        looks[0][12] = 30.0;
-        let known = equivalent_looks(&looks);
+    fn bins_tell_of_hours_nearby_and_not_of_others() {
+        let mut bins = [[0.0; HOURS]; 2];
+        bins[0][12] = 30.0;
+        let known = equivalent_bins(&bins);
         assert_eq!((known[0][12], known[0][20], known[1][3]), (30.0, 0.0, 0.0));
         assert!(known[0][11] > known[0][10] && known[0][10] > known[0][9] && known[0][9] > 0.0);
         assert_eq!(known[0][11], known[0][13]);
@@ -166,10 +166,10 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_tempered_where_few_looks_speak() {
-        let mut looks = [[0.0; HOURS]; 2];
-        looks[0][9] = 40.0;
-        let seen = HoursSeen::of_looks(&looks);
+    fn answers_are_tempered_where_few_bins_speak() {
+        let mut bins = [[0.0; HOURS]; 2];
+        bins[0][9] = 40.0;
+        let seen = HoursSeen::of_bins(&bins);
         // 1970-01-01 was a Thursday.
         let at = |hour: i64| seen.at(hour * HOUR_NANOS);
         assert_eq!(at(20).temper(0.3, 1.0), 0.3, "nobody looked nearby");
@@ -177,7 +177,7 @@ mod tests {
         assert!(at(10).temper(0.3, 1.0) < at(9).temper(0.3, 1.0));
         assert_eq!(at(9).temper(1.0, 1.0), 1.0);
         assert!(HoursSeen::default().at(0).is_whole() && Evidence::WHOLE.temper(0.3, 1.0) == 1.0);
-        let known = equivalent_looks(&looks)[0][9];
+        let known = equivalent_bins(&bins)[0][9];
         assert!((at(9).kept - evidence(known)).abs() < 1e-3);
         assert_eq!(HoursSeen::from_bytes(&seen.to_bytes()), Some(seen));
         assert_eq!((HoursSeen::from_bytes(&[0; 47]), HoursSeen::from_bytes(&[0; 49])), (None, None));

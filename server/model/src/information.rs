@@ -18,7 +18,7 @@ mod tests;
 /// The weight of learning relative to RA-L's gain.
 const LEARNING_WEIGHT: f64 = 4.0;
 /// With more bins, learning is below 1e-8 bits and counts as 0.
-const LOOKS_MAX: f64 = 1e8;
+const BINS_MAX: f64 = 1e8;
 
 /// The measure of the information value of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,15 +61,15 @@ impl InformationMeasure {
 /// The information of one observation about later ones, in bits: from the entropy of `value` without any observation to
 /// 0 after many.
 ///
-/// `value`: the predicted probability; a value outside `[0,1]` counts as the nearer end, and NaN as 0.5. `looks`: the
+/// `value`: the predicted probability; a value outside `[0,1]` counts as the nearer end, and NaN as 0.5. `bins`: the
 /// number of half-hour bins that support it; a number below 0 and NaN count as 0.
-pub fn learning_bits(value: f64, looks: f64) -> f64 {
+pub fn learning_bits(value: f64, bins: f64) -> f64 {
     let v = if value.is_nan() { 0.5 } else { value.clamp(0.0, 1.0) };
     let entropy = entropy_bits(v);
-    if looks >= LOOKS_MAX {
+    if bins >= BINS_MAX {
         return 0.0;
     }
-    let looks = looks.max(0.0);
-    let kept = digamma(looks + 1.0) - v * digamma(v * looks + 1.0) - (1.0 - v) * digamma((1.0 - v) * looks + 1.0);
+    let bins = bins.max(0.0);
+    let kept = digamma(bins + 1.0) - v * digamma(v * bins + 1.0) - (1.0 - v) * digamma((1.0 - v) * bins + 1.0);
     (entropy - kept / std::f64::consts::LN_2).clamp(0.0, entropy)
 }

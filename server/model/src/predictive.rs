@@ -24,7 +24,7 @@ const STEPS: usize = 60;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Predictive {
     value: f64,
-    looks: f64,
+    bins: f64,
     dependence: f64,
 }
 
@@ -38,13 +38,13 @@ pub struct HeldInterval {
 }
 
 impl Predictive {
-    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: the number of half-hour bins at this hour
+    /// A prediction. `value`: the probability; NaN counts as 0.5. `bins`: the number of half-hour bins at this hour
     /// that support it, at least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
-    pub fn new(value: f64, looks: f64, dependence: f64) -> Predictive {
+    pub fn new(value: f64, bins: f64, dependence: f64) -> Predictive {
         let value = if value.is_nan() { 0.5 } else { value.clamp(EDGE, 1.0 - EDGE) };
-        let looks = if looks.is_nan() { 0.0 } else { looks.max(0.0) };
+        let bins = if bins.is_nan() { 0.0 } else { bins.max(0.0) };
         let dependence = if dependence.is_nan() { 0.0 } else { dependence.clamp(1e-3, 0.999) };
-        Predictive { value, looks, dependence }
+        Predictive { value, bins, dependence }
     }
 
     /// The probability.
@@ -53,8 +53,8 @@ impl Predictive {
     }
 
     /// The number of half-hour bins at this hour that support the value.
-    pub fn looks(self) -> f64 {
-        self.looks
+    pub fn bins(self) -> f64 {
+        self.bins
     }
 
     /// The entropy of the state in bits, 0 to 1: the expected loss of acting on the value.
@@ -64,7 +64,7 @@ impl Predictive {
 
     /// The mutual information of one observation and the habit, in bits: its information about later observations.
     pub fn learning_bits(self) -> f64 {
-        learning_bits(self.value, self.looks)
+        learning_bits(self.value, self.bins)
     }
 
     /// The share of a single reading's variance that the mean of an hour has.
@@ -73,7 +73,7 @@ impl Predictive {
         let x = -2.0 * libm::log(self.dependence);
         let share = 2.0 * (x - 1.0 + libm::exp(-x)) / (x * x);
         // The uncertainty of the habit is common to the whole hour.
-        share + (1.0 - share) / (1.0 + self.looks)
+        share + (1.0 - share) / (1.0 + self.bins)
     }
 
     /// The probabilities that none, one, … all of the hour's twelve readings are 1.

@@ -25,7 +25,7 @@ pub const RUNS_MAX: usize = 64;
 /// probabilities, the confidence of the interval outside of which the value must lie.
 pub const KEPT_CONFIDENCE: f64 = 0.9;
 /// Length of a half-hour bin, whose observations count once, in nanoseconds.
-const LOOK_NANOS: i64 = 1_800_000_000_000;
+const BIN_NANOS: i64 = 1_800_000_000_000;
 /// A run ends after this time without an unusual observation, in nanoseconds: a day.
 const GAP_MAX_NANOS: i64 = 86_400_000_000_000;
 /// A run that is older by this much counts half, in seconds: thirty days.
@@ -201,7 +201,7 @@ impl Surprises {
 
 impl SurpriseRun {
     fn extend(&mut self, reading: JudgedReading) {
-        if reading.utc_nanos.div_euclid(LOOK_NANOS) > self.last_nanos.div_euclid(LOOK_NANOS) {
+        if reading.utc_nanos.div_euclid(BIN_NANOS) > self.last_nanos.div_euclid(BIN_NANOS) {
             self.bits += observed_bits(reading.observed_probability);
         }
         self.last_nanos = reading.utc_nanos;

@@ -82,15 +82,15 @@ fn a_half_year_is_known_for_the_year_after_wherever_the_record_ends() {
 }
 
 #[test]
-fn twelve_monthly_looks_tell_the_year() {
+fn twelve_monthly_bins_tell_the_year() {
     let (mut error, mut of_mean) = (0.0, 0.0);
     for seed in 0..12 {
         let phase = 31 * seed;
         let open = |day: i64| flag((day + phase).rem_euclid(365) < 182);
-        let looks: Vec<i64> = (0..12).map(|month| month * 3044 / 100).collect();
-        let end = looks[11] + 1;
+        let bins: Vec<i64> = (0..12).map(|month| month * 3044 / 100).collect();
+        let end = bins[11] + 1;
         let state =
-            learned(end, |day| if looks.contains(&day) { vec![(12 * HOUR_SECS, open(day))] } else { Vec::new() });
+            learned(end, |day| if bins.contains(&day) { vec![(12 * HOUR_SECS, open(day))] } else { Vec::new() });
         for day in end..end + 365 {
             error += (value(&state, day, 12 * HOUR_SECS) - open(day)).powi(2) / 365.0 / 12.0;
             of_mean += 0.25 / 365.0 / 12.0;
@@ -142,7 +142,7 @@ fn readings_once_a_second_teach_no_more_certainty_than_once_in_ten_minutes() {
 }
 
 #[test]
-fn hours_that_nobody_looked_at_stay_unknown() {
+fn hours_that_nobody_bined_at_stay_unknown() {
     let visits = [(8, 0.0), (12, 1.0), (16, 0.0)];
     let state = learned(42, |_| visits.iter().map(|&(hour, value)| (hour * HOUR_SECS + 600, value)).collect());
     for ahead in [0, 3, 30] {
@@ -167,11 +167,11 @@ fn hours_that_nobody_looked_at_stay_unknown() {
 #[test]
 fn noise_is_predicted_as_well_as_by_its_mean() {
     for gap in [1, 7, 30] {
-        for looks in [6, 12, 24] {
+        for bins in [6, 12, 24] {
             let (mut own, mut of_mean) = (0.0, 0.0);
             for seed in 0..40 {
-                let mut random = Random(seed * 101 + looks as u64 * 7 + gap as u64);
-                let end = gap * (looks - 1) + 1;
+                let mut random = Random(seed * 101 + bins as u64 * 7 + gap as u64);
+                let end = gap * (bins - 1) + 1;
                 let mut values = Vec::new();
                 let state = learned(end, |day| {
                     if day % gap != 0 {
@@ -205,7 +205,7 @@ fn a_rotation_of_shifts_is_found_without_being_named() {
 }
 
 #[test]
-fn a_few_daily_looks_make_no_swings() {
+fn a_few_daily_bins_make_no_swings() {
     for days in [3, 5, 7, 21] {
         for seed in 0..48 {
             let mut random = Random(seed * 7 + 3);

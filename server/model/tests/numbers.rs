@@ -96,7 +96,7 @@ fn nanos(step: usize) -> i64 {
 }
 
 impl World {
-    fn looks(&self, day: usize) -> Vec<Sample> {
+    fn bins(&self, day: usize) -> Vec<Sample> {
         let sample =
             |step: usize| Sample { utc_nanos: nanos(step) + 37_000_000_000, offset_secs: 0, value: self.values[step] };
         (day * STEPS..(day + 1) * STEPS).filter(|step| step % 3 == self.first).map(sample).collect()
@@ -138,8 +138,8 @@ fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead
                 let kind = hour % 24 + if hour < 120 { 0 } else { 24 };
                 let table = |table: usize, cell: usize| tables[table][cell][0] / f64::max(tables[table][cell][1], 1e-9);
                 let before = |steps: usize| {
-                    let look = step.checked_sub(steps).unwrap_or(step % STEPS);
-                    world.values[look - look % 3 + world.first]
+                    let bin = step.checked_sub(steps).unwrap_or(step % STEPS);
+                    world.values[bin - bin % 3 + world.first]
                 };
                 let baselines = [
                     table(0, hour),
@@ -164,18 +164,18 @@ fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead
                 hours += 1.0;
             }
         }
-        let looks = world.looks(day);
+        let bins = world.bins(day);
         tables[2].iter_mut().flatten().for_each(|sum| *sum *= 0.5_f64.powf(1.0 / 21.0));
-        for look in &looks {
-            let hour = (look.utc_nanos - nanos(0)) / 3_600_000_000_000 % 168;
+        for bin in &bins {
+            let hour = (bin.utc_nanos - nanos(0)) / 3_600_000_000_000 % 168;
             let kind = hour % 24 + if hour < 120 { 0 } else { 24 };
             for (table, cell) in [(0, hour), (1, kind), (2, hour)] {
                 let cell = &mut tables[table][cell as usize];
-                (cell[0], cell[1]) = (cell[0] + look.value, cell[1] + 1.0);
+                (cell[0], cell[1]) = (cell[0] + bin.value, cell[1] + 1.0);
             }
         }
-        state.update(&periodicities, rules, looks.clone());
-        seen.extend(looks);
+        state.update(&periodicities, rules, bins.clone());
+        seen.extend(bins);
         let window = seen.len().saturating_sub(TRAINING_DAYS * STEPS / 3);
         for kind in TRAINED_AT_NIGHT {
             if models.has(kind) && state.is_training_due(kind) {
@@ -271,32 +271,32 @@ fn shifts_are_known_up_to_a_week_ahead() {
 }
 
 /// Half-hour bins that are pure noise, one a day.
-fn noise(looks: usize, at_any_hour: bool, seed: u64) -> Vec<Sample> {
-    let mut random = Random(seed * 7919 + looks as u64 * 31);
-    let look = |day: usize| {
+fn noise(bins: usize, at_any_hour: bool, seed: u64) -> Vec<Sample> {
+    let mut random = Random(seed * 7919 + bins as u64 * 31);
+    let bin = |day: usize| {
         let step = if at_any_hour { (random.uniform() * STEPS as f64) as usize } else { 60 };
         Sample { utc_nanos: nanos(day * STEPS + step), offset_secs: 0, value: random.normal() }
     };
-    (0..looks).map(look).collect()
+    (0..bins).map(bin).collect()
 }
 
 #[test]
 fn noise_is_hardly_worse_than_its_mean() {
     let periodicities = Periodicities::default();
-    for (looks, at_any_hour) in [(6, false), (6, true), (12, false), (12, true), (24, true), (60, false), (60, true)] {
+    for (bins, at_any_hour) in [(6, false), (6, true), (12, false), (12, true), (24, true), (60, false), (60, true)] {
         let (mut own, mut of_mean) = (0.0, 0.0);
         for seed in 1..41 {
-            let seen = noise(looks, at_any_hour, seed);
+            let seen = noise(bins, at_any_hour, seed);
             let mut state = StateModel::of_kind(StateKind::Continuous);
-            for look in &seen {
-                state.update(&periodicities, UpdateRules::default(), vec![*look]);
+            for bin in &seen {
+                state.update(&periodicities, UpdateRules::default(), vec![*bin]);
             }
             let asked: Vec<Sample> = (0..STEPS)
-                .map(|step| Sample { utc_nanos: nanos(looks * STEPS + step), offset_secs: 0, value: 0.0 })
+                .map(|step| Sample { utc_nanos: nanos(bins * STEPS + step), offset_secs: 0, value: 0.0 })
                 .collect();
             let said = state.predict_in_force(&periodicities, &asked);
             own += said.iter().map(|said| 1.0 + said * said).sum::<f64>() / STEPS as f64;
-            of_mean += 1.0 + (seen.iter().map(|look| look.value).sum::<f64>() / looks as f64).powi(2);
+            of_mean += 1.0 + (seen.iter().map(|bin| bin.value).sum::<f64>() / bins as f64).powi(2);
         }
         assert!(own <= 1.06 * of_mean, "{looks} looks, at any hour: {at_any_hour}: {own}, mean {of_mean}");
     }
@@ -310,9 +310,9 @@ fn learned(world: &World, days: std::ops::Range<usize>, batch: usize, unit: impl
     // On every eleventh day there is no reading.
     let days: Vec<usize> = days.filter(|day| day % 11 != 3).collect();
     for batch in days.chunks(batch) {
-        let looks = batch.iter().flat_map(|&day| world.looks(day));
-        let looks = looks.map(|look| Sample { value: unit(look.value), ..look });
-        state.update(&Periodicities::default(), rules, looks.collect());
+        let bins = batch.iter().flat_map(|&day| world.bins(day));
+        let bins = bins.map(|bin| Sample { value: unit(bin.value), ..bin });
+        state.update(&Periodicities::default(), rules, bins.collect());
     }
     state
 }

@@ -91,21 +91,21 @@ fn a_yearly_state_is_known_after_two_years() {
 }
 
 #[test]
-fn twelve_monthly_looks_find_a_year() {
+fn twelve_monthly_bins_find_a_year() {
     let days = [365, 182, 91, 30, 7, 1];
     let list = Periodicities::list(days.map(|days| days * DAY_NANOS).to_vec()).unwrap();
     let months = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334];
-    let looks: Vec<Sample> = months
+    let bins: Vec<Sample> = months
         .iter()
         .enumerate()
         .map(|(month, &day)| sample(day * DAY_MINUTES + 600, (3..9).contains(&month)))
         .collect();
-    let state = learned(&list, EnabledModels::SPECTRAL, &looks);
+    let state = learned(&list, EnabledModels::SPECTRAL, &bins);
     assert_eq!(state.spectral().components()[0].periodicity, 0, "{:?}", state.spectral());
     // No component is faster than monthly readings can resolve.
     assert!(state.spectral().components().iter().all(|component| component.periodicity <= 2), "{:?}", state.spectral());
     // Eleven readings are too few.
-    let state = learned(&list, EnabledModels::SPECTRAL, &looks[..11]);
+    let state = learned(&list, EnabledModels::SPECTRAL, &bins[..11]);
     assert!(state.spectral().components().iter().all(|component| component.periodicity != 0));
 }
 

@@ -50,11 +50,11 @@ impl Ahead {
     }
 
     /// The probability of 1, or the value, at a lead time in seconds, at least 0.
-    pub(super) fn at(&self, lag_secs: f64) -> f64 {
+    pub(super) fn at(&self, lead_secs: f64) -> f64 {
         match self {
             Ahead::Constant(value) => *value,
-            Ahead::Chain(rates, now) => rates.after(*now, lag_secs),
-            Ahead::Curves([fine, coarse]) => fine.at(lag_secs).unwrap_or_else(|| coarse.at_or_end(lag_secs)),
+            Ahead::Chain(rates, now) => rates.after(*now, lead_secs),
+            Ahead::Curves([fine, coarse]) => fine.at(lead_secs).unwrap_or_else(|| coarse.at_or_end(lead_secs)),
         }
     }
 }
@@ -105,14 +105,14 @@ impl Curve {
     }
 
     /// The probability at a lead time; `None` beyond the end of the curve.
-    fn at(&self, lag_secs: f64) -> Option<f64> {
-        let place = lag_secs / self.step_secs;
+    fn at(&self, lead_secs: f64) -> Option<f64> {
+        let place = lead_secs / self.step_secs;
         let step = place as usize;
         let (before, after) = (self.ones.get(step)?, self.ones.get(step + 1)?);
         Some(before + (after - before) * (place - step as f64))
     }
 
-    fn at_or_end(&self, lag_secs: f64) -> f64 {
-        self.at(lag_secs).unwrap_or_else(|| self.ones.last().copied().unwrap_or(0.5))
+    fn at_or_end(&self, lead_secs: f64) -> f64 {
+        self.at(lead_secs).unwrap_or_else(|| self.ones.last().copied().unwrap_or(0.5))
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::{Rates, SensorNoise, noise::Expected};
 use crate::special::square;
-use crate::{belief::Look, special::normal_tail};
+use crate::{belief::Bin, special::normal_tail};
 
 /// Maximum number of completed dwells that are kept at each value; if there are more, every second one is forgotten.
 pub(super) const DWELLS_MAX: usize = 48;
@@ -120,9 +120,9 @@ impl Dwells {
     }
 
     /// Learns the dwells of a day from the readings and the probability of 1 at each.
-    pub(super) fn learn(&mut self, looks: &[Look], expected: &Expected, mean_gap_secs: f64) {
+    pub(super) fn learn(&mut self, bins: &[Bin], expected: &Expected, mean_gap_secs: f64) {
         let longest = (BREAK_GAPS * mean_gap_secs).max(BREAK_SECS);
-        for (&(nanos, _), &one) in looks.iter().zip(&expected.ones) {
+        for (&(nanos, _), &one) in bins.iter().zip(&expected.ones) {
             let is_one = one > 0.5;
             let begins = UnendedDwell { is_one, since: None, last_nanos: nanos };
             let Some(open) = self.open.filter(|open| secs(open.last_nanos, nanos) <= longest) else {

@@ -7,7 +7,7 @@
 //! the data that was learned before it.
 
 use super::{
-    Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
+    Belief, Bin, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lead_time::LeadTimeWeights, lead_secs, bins_after, noise,
     recent::RecentReplay,
 };
 use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
@@ -23,7 +23,7 @@ const FIRST_DAYS: u32 = 2;
 /// The share of the readings of the first day that is learned to score the other readings of the day.
 const FIRST_SHARE: f64 = 2.0 / 3.0;
 /// At most this many readings of a day are learned.
-const LOOKS_MAX: usize = 20_000;
+const BINS_MAX: usize = 20_000;
 /// Number of readings of a day from which later readings of it are predicted, beside the last reading of the days
 /// before.
 const ORIGINS: usize = 15;
@@ -33,8 +33,8 @@ type Predict<'a> = dyn Fn(&[Sample]) -> Vec<f64> + 'a;
 
 /// A reading that was not yet learned, and its forecast from earlier readings.
 struct Target {
-    lag: usize,
-    said: f64,
+    lead: usize,
+    stored: f64,
     sample: Sample,
 }
 
@@ -56,7 +56,7 @@ impl Belief {
             None => self.learn_first_day(newer, unit),
         }
         if self.has_two_values {
-            self.learn_looks(&looks_after(newest_before, newer));
+            self.learn_bins(&bins_after(newest_before, newer));
         }
         self.take_in(newer);
         self.days = self.days.saturating_add(1);
@@ -85,31 +85,31 @@ impl Belief {
         let mut judge = self.clone();
         judge.take_in(first);
         if judge.has_two_values {
-            let (looks, newest) = (looks_after(None, first), judge.newest.take());
-            judge.learn_looks(&looks);
+            let (bins, newest) = (bins_after(None, first), judge.newest.take());
+            judge.learn_bins(&bins);
             judge.newest = newest;
             let was_noisy = self.is_noisy();
-            self.gain = judge.gained(&looks_after(newest.map(|(nanos, _)| nanos), rest));
+            self.gain = judge.gained(&bins_after(newest.map(|(nanos, _)| nanos), rest));
             if self.is_noisy() != was_noisy {
                 // The dwells depend on which readings were wrong.
                 let learned = Belief { gain: self.gain, ..self.clone() };
                 let (recent, newest) = (judge.recent, judge.newest);
                 judge = learned;
-                judge.learn_looks(&looks);
+                judge.learn_bins(&bins);
                 (judge.recent, judge.newest) = (recent, newest);
             }
         }
-        judge.score_lags(rest, &|samples| vec![mean; samples.len()], unit);
+        judge.score_lead_times(rest, &|samples| vec![mean; samples.len()], unit);
         self.weights = judge.weights;
     }
 
     /// The log-likelihood that sensor noise gains on readings that were not learned, in nats. 0 for stated noise, which
     /// is not scored.
-    fn gained(&self, looks: &[Look]) -> f64 {
+    fn gained(&self, bins: &[Bin]) -> f64 {
         if self.hidden.is_empty() || self.sensor.is_some() {
             return 0.0;
         }
-        let likelihood = |rates: Rates, noise: SensorNoise| noise::log_likelihood(looks, 1, rates, noise);
+        let likelihood = |rates: Rates, noise: SensorNoise| noise::log_likelihood(bins, 1, rates, noise);
         likelihood(self.hidden_rates, self.noise) - likelihood(self.seen_rates, SensorNoise::default())
     }
 
@@ -117,22 +117,22 @@ impl Belief {
     fn score(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
         if self.has_two_values {
             let was_noisy = self.is_noisy();
-            self.gain = self.gain * KEPT + self.gained(&looks_after(self.newest.map(|(nanos, _)| nanos), newer));
+            self.gain = self.gain * KEPT + self.gained(&bins_after(self.newest.map(|(nanos, _)| nanos), newer));
             if self.is_noisy() != was_noisy {
                 // The dwells depend on which readings were wrong.
                 self.dwells = Dwells::default();
             }
         }
-        self.score_lags(newer, predict, unit);
+        self.score_lead_times(newer, predict, unit);
     }
 
     /// Scores the weights by lead time.
-    fn score_lags(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
+    fn score_lead_times(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
         let targets = self.targets(newer);
         let samples: Vec<Sample> = targets.iter().map(|target| target.sample).collect();
         self.weights.fade();
         for (target, predicted) in targets.iter().zip(predict(&samples)) {
-            self.weights.add(target.lag, (target.sample.value, predicted, target.said), unit);
+            self.weights.add(target.lead, (target.sample.value, predicted, target.stored), unit);
         }
     }
 
@@ -162,29 +162,29 @@ impl Belief {
 
     /// Adds for each lead time the first of the later readings that has this lead time.
     fn targets_from(&self, recent: &Recent, newest: Newest, later: &[Sample], targets: &mut Vec<Target>) {
-        let target = |lag: usize| {
-            let nanos = newest.0.saturating_add((LagWeights::lag_secs(lag) * 1e9) as i64);
+        let target = |lead: usize| {
+            let nanos = newest.0.saturating_add((LeadTimeWeights::lead_secs(lead) * 1e9) as i64);
             // A reading just before also counts, if this lead time is its nearest.
             let at = later.partition_point(|sample| sample.utc_nanos < nanos);
             let sample = later.get(at).or(later.last())?;
-            let secs = lag_secs(newest.0, sample.utc_nanos).filter(|secs| LagWeights::nearest(*secs) == Some(lag))?;
-            Some((lag, secs, *sample))
+            let secs = lead_secs(newest.0, sample.utc_nanos).filter(|secs| LeadTimeWeights::nearest(*secs) == Some(lead))?;
+            Some((lead, secs, *sample))
         };
-        let found: Vec<_> = (0..super::lag::LAGS).filter_map(target).collect();
+        let found: Vec<_> = (0..super::lead_time::LEAD_TIMES).filter_map(target).collect();
         let longest = found.iter().map(|(_, secs, _)| *secs).fold(0.0, f64::max);
         if found.is_empty() {
             return;
         }
         let ahead = self.ahead(recent, newest, longest);
-        let target = |(lag, secs, sample)| Target { lag, said: self.reading(ahead.at(secs)), sample };
+        let target = |(lead, secs, sample)| Target { lead, stored: self.reading(ahead.at(secs)), sample };
         targets.extend(found.into_iter().map(target));
     }
 
     /// Learns successive readings, noise and dwells.
-    fn learn_looks(&mut self, looks: &[Look]) {
-        let looks = &looks[looks.len().saturating_sub(LOOKS_MAX)..];
+    fn learn_bins(&mut self, bins: &[Bin]) {
+        let bins = &bins[bins.len().saturating_sub(BINS_MAX)..];
         let before = self.newest.map(|(nanos, value)| (nanos, value >= 0.5));
-        let all = before.iter().chain(looks);
+        let all = before.iter().chain(bins);
         for (&(earlier, from), &(later, to)) in all.clone().zip(all.skip(1)) {
             let mut counts = [0.0; 4];
             counts[usize::from(from) * 2 + usize::from(to)] = 1.0;
@@ -198,14 +198,14 @@ impl Belief {
         } else {
             most_likely_near(&self.seen, self.seen_rates)
         };
-        let expected = self.learn_noise(looks);
+        let expected = self.learn_noise(bins);
         let gap = self.seen.mean_gap_secs();
-        self.dwells.learn(looks, &expected, gap);
+        self.dwells.learn(bins, &expected, gap);
     }
 
     /// Learns the hidden chain and the errors of the sensor. Returns the expected hidden values with the noise that is
     /// in use.
-    fn learn_noise(&mut self, looks: &[Look]) -> noise::Expected {
+    fn learn_noise(&mut self, bins: &[Bin]) -> noise::Expected {
         let passes = if self.days < FIRST_DAYS { FIRST_PASSES } else { PASSES };
         if self.hidden.is_empty() {
             (self.hidden_rates, self.noise) = (self.seen_rates, SensorNoise::begin());
@@ -214,7 +214,7 @@ impl Belief {
         self.errors.scale(KEPT);
         let (mut hidden, mut errors) = (self.hidden.clone(), self.errors);
         for _ in 0..passes {
-            let expected = noise::expect(looks, self.hidden_rates, self.hidden_noise());
+            let expected = noise::expect(bins, self.hidden_rates, self.hidden_noise());
             (hidden, errors) = (self.hidden.clone(), self.errors);
             hidden.merge(&expected.transitions);
             errors.merge(&expected.errors);
@@ -222,7 +222,7 @@ impl Belief {
             self.noise = if self.sensor.is_some() { SensorNoise::default() } else { errors.noise() };
         }
         (self.hidden, self.errors) = (hidden, errors);
-        noise::expect(looks, self.rates(), self.noise())
+        noise::expect(bins, self.rates(), self.noise())
     }
 }
 

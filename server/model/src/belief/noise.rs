@@ -4,7 +4,7 @@
 //! L. Rabiner, "A Tutorial on Hidden Markov Models", 1989, section III, with a transition that depends on the time
 //! between two readings. Invariant: expected counts of a pair of readings add up to 1.
 
-use super::{Look, Rates};
+use super::{Bin, Rates};
 use crate::models::markov_chain::likelihood::Transitions;
 
 /// The error probabilities of a sensor of a state of two values.
@@ -86,9 +86,9 @@ pub(super) struct Expected {
 }
 
 /// The logarithm of the probability of the readings from index `from` on, given those before, in nats.
-pub(super) fn log_likelihood(looks: &[Look], from: usize, rates: Rates, noise: SensorNoise) -> f64 {
+pub(super) fn log_likelihood(bins: &[Bin], from: usize, rates: Rates, noise: SensorNoise) -> f64 {
     let (mut one, mut last, mut sum) = (rates.share(), None, 0.0);
-    for (at, &(nanos, is_one)) in looks.iter().enumerate() {
+    for (at, &(nanos, is_one)) in bins.iter().enumerate() {
         if let Some(last) = last {
             one = rates.after(one, secs(last, nanos));
         }
@@ -106,16 +106,16 @@ pub(super) fn log_likelihood(looks: &[Look], from: usize, rates: Rates, noise: S
 }
 
 /// The expected hidden values, changes and errors of the sensor, given readings.
-pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expected {
+pub(super) fn expect(bins: &[Bin], rates: Rates, noise: SensorNoise) -> Expected {
     let share = rates.share();
-    let mut ones = Vec::with_capacity(looks.len());
+    let mut ones = Vec::with_capacity(bins.len());
     // For each reading the sum by which its probabilities are divided to add up to 1, and e^(-(α+β)Δ) of the gap before
     // it.
-    let mut scales = Vec::with_capacity(looks.len());
+    let mut scales = Vec::with_capacity(bins.len());
     let (mut one, mut last) = (share, None::<i64>);
     // Most readings come at equal gaps.
     let (mut gap_secs, mut kept) = (f64::INFINITY, 0.0);
-    for &(nanos, is_one) in looks {
+    for &(nanos, is_one) in bins {
         let gap = last.map_or(f64::INFINITY, |last| secs(last, nanos));
         if gap != gap_secs {
             (gap_secs, kept) = (gap, libm::exp(-rates.sum() * gap));
@@ -130,8 +130,8 @@ pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expect
     }
     let mut expected = Expected::default();
     let mut after = [1.0, 1.0];
-    for at in (0..looks.len()).rev() {
-        let ((_, is_one), filtered) = (looks[at], ones[at]);
+    for at in (0..bins.len()).rev() {
+        let ((_, is_one), filtered) = (bins[at], ones[at]);
         let smoothed = filtered * after[1] / ((1.0 - filtered) * after[0] + filtered * after[1]).max(f64::MIN_POSITIVE);
         ones[at] = smoothed;
         expected.errors.ones += smoothed;
@@ -150,7 +150,7 @@ pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expect
         let pairs =
             [(1.0 - one) * (1.0 - rise) * low, (1.0 - one) * rise * high, one * fall * low, one * (1.0 - fall) * high];
         let sum = pairs.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        let gap_nanos = looks[at].0.abs_diff(looks[before].0);
+        let gap_nanos = bins[at].0.abs_diff(bins[before].0);
         expected.transitions.add_by_octave(gap_nanos, pairs.map(|pair| pair / sum));
         after = [(1.0 - rise) * low + rise * high, fall * low + (1.0 - fall) * high];
     }

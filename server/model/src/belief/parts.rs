@@ -5,7 +5,7 @@
 use super::{
     Belief, Rates, Recent, RecentSpan, SensorNoise,
     dwell::{DWELLS_MAX, Dwells, OfValue, UnendedDwell},
-    lag::LagWeights,
+    lead_time::LeadTimeWeights,
     noise::{ErrorSums, NOISE_MAX},
 };
 use crate::{
@@ -47,7 +47,7 @@ pub struct BeliefParts {
     /// The dwell that has not ended.
     pub open: Option<OpenDwell>,
     /// The sums of the weights by lag; empty before the first.
-    pub lag_sums: Vec<f64>,
+    pub lead_sums: Vec<f64>,
 }
 
 /// Counts of successive values at gaps of one octave.
@@ -98,7 +98,7 @@ impl Belief {
                 since,
                 last_nanos,
             }),
-            lag_sums: self.weights.to_sums(),
+            lead_sums: self.weights.to_sums(),
         }
     }
 
@@ -146,7 +146,7 @@ impl Belief {
             gain: parts.gain,
             days: parts.days,
             dwells: Dwells::from_parts(of_value, open),
-            weights: LagWeights::from_sums(&parts.lag_sums)?,
+            weights: LeadTimeWeights::from_sums(&parts.lead_sums)?,
         })
     }
 }

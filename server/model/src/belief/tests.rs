@@ -2,7 +2,7 @@
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
-use super::{ahead::Ahead, dwell::Survival, filter, lag::LagWeights, noise, *};
+use super::{ahead::Ahead, dwell::Survival, filter, lead_time::LeadTimeWeights, noise, *};
 use crate::StateKind;
 
 const SEC: i64 = 1_000_000_000;
@@ -51,12 +51,12 @@ fn learned_by(mut belief: Belief, samples: &[Sample]) -> Belief {
     belief
 }
 
-fn blended(belief: &Belief, samples: &[Sample], p: f64, lag_secs: i64) -> f64 {
+fn blended(belief: &Belief, samples: &[Sample], p: f64, lead_secs: i64) -> f64 {
     let mut recent = Recent::default();
     samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
     let last = samples.last().unwrap();
     let mut out = [p];
-    let at = Moment { utc_nanos: last.utc_nanos + lag_secs * SEC, offset_secs: 0 };
+    let at = Moment { utc_nanos: last.utc_nanos + lead_secs * SEC, offset_secs: 0 };
     belief.blend_into(&recent, Some((last.utc_nanos, last.value)), &[at], &mut out);
     out[0]
 }
@@ -160,7 +160,7 @@ fn the_next_change_of_a_regular_state_is_foreseen() {
     assert!(belief.knows_dwells());
     let change = samples.windows(2).rposition(|pair| pair[0].value == 0.0 && pair[1].value == 1.0).unwrap() + 1;
     let seen = &samples[..=change];
-    let at = |lag_secs| blended(&belief, seen, 0.33, lag_secs);
+    let at = |lead_secs| blended(&belief, seen, 0.33, lead_secs);
     assert!(at(120) > 0.9 && at(240) > 0.8, "{} {}", at(120), at(240));
     assert!(at(420) < 0.2 && at(600) < 0.2, "{} {}", at(420), at(600));
 }
@@ -184,14 +184,14 @@ fn far_ahead_the_prediction_answers() {
 
 #[test]
 fn weights_follow_what_has_been_right() {
-    let mut weights = LagWeights::default();
+    let mut weights = LeadTimeWeights::default();
     for _ in 0..100 {
         weights.add(1, (1.0, 0.2, 0.9), 0.25);
         weights.add(6, (0.2, 0.2, 0.9), 0.25);
     }
-    let at = |lag| weights.at(LagWeights::lag_secs(lag), 3600.0);
+    let at = |lead| weights.at(LeadTimeWeights::lead_secs(lead), 3600.0);
     assert!(at(1) > 0.99 && at(6) < 0.1, "{} {}", at(1), at(6));
-    assert!(at(8) <= at(6), "a lag that was never scored goes by the one before it");
+    assert!(at(8) <= at(6), "a lead time that was never scored goes by the one before it");
     assert_eq!(weights.at(0.0, 3600.0), 1.0);
     assert!(weights.at(1e9, 3600.0) < 1e-9);
 }
@@ -215,7 +215,7 @@ fn numbers_are_the_newest_value_as_far_as_that_was_right() {
         belief.learn_day(day, (number > 0).then_some(&predict), 4.0 / 3.0);
     }
     let last = samples.last().unwrap().value;
-    let weight = |lag| (blended(&belief, &samples, 20.0, lag) - 20.0) / (last - 20.0);
+    let weight = |lead| (blended(&belief, &samples, 20.0, lead) - 20.0) / (last - 20.0);
     assert!(weight(600) > 0.6 && weight(86_400) < 0.2, "{} {}", weight(600), weight(86_400));
 }
 
@@ -234,16 +234,16 @@ fn the_filter_of_dwells_is_that_of_a_chain_if_dwells_are_exponential() {
     let (dwelling, chain) =
         (filter::filter_dwells(&survivals, noise, &recent), filter::filter_chain(rates, noise, &recent));
     let (dwelling, chain) = (Ahead::of_dwells(&survivals, &dwelling, 20_000.0), Ahead::of_chain(rates, chain));
-    for lag in [0.0, 100.0, 600.0, 3000.0, 20_000.0] {
-        let (one, other) = (dwelling.at(lag), chain.at(lag));
-        assert!((one - other).abs() < 0.06, "{lag}: {one} {other}");
+    for lead in [0.0, 100.0, 600.0, 3000.0, 20_000.0] {
+        let (one, other) = (dwelling.at(lead), chain.at(lead));
+        assert!((one - other).abs() < 0.06, "{lead}: {one} {other}");
     }
 }
 
 #[test]
 fn expected_changes_are_exact_without_errors() {
-    let looks = [(0, false), (60 * SEC, false), (120 * SEC, true), (180 * SEC, true)];
-    let expected = noise::expect(&looks, Rates::default(), SensorNoise::default());
+    let bins = [(0, false), (60 * SEC, false), (120 * SEC, true), (180 * SEC, true)];
+    let expected = noise::expect(&bins, Rates::default(), SensorNoise::default());
     assert_eq!(expected.ones, [0.0, 0.0, 1.0, 1.0]);
     let counts: Vec<_> = expected.transitions.by_gap.values().collect();
     assert_eq!(counts.len(), 1);
@@ -279,7 +279,7 @@ fn a_belief_comes_back_from_its_parts() {
         BeliefParts { seen_rates: [0.0, 1.0], ..parts.clone() },
         BeliefParts { noise: [0.5, 0.0], ..parts.clone() },
         BeliefParts { errors: [f64::NAN, 0.0, 0.0, 0.0], ..parts.clone() },
-        BeliefParts { lag_sums: vec![1.0; 7], ..parts.clone() },
+        BeliefParts { lead_sums: vec![1.0; 7], ..parts.clone() },
         BeliefParts { dwell_counts: [0, 0], ..parts.clone() },
         BeliefParts { newest: Some((1, 2.0)), ..parts },
     ] {
@@ -292,7 +292,7 @@ proptest::proptest! {
     fn recent_readings_stay_in_order_and_blends_in_their_bounds(
         readings in proptest::collection::vec((1..100_000_i64, proptest::bool::weighted(0.3)), 1..200),
         p in 0.0..=1.0_f64,
-        lag in 0..1_000_000_i64,
+        lead in 0..1_000_000_i64,
     ) {
         let mut now = 0;
         let mut samples = Vec::new();
@@ -310,7 +310,7 @@ proptest::proptest! {
             samples.iter().for_each(|sample| replay.observe(sample.utc_nanos, sample.value));
             proptest::prop_assert_eq!(*replay.recent(), recent);
         }
-        let blended = blended(&learned(&samples), &samples, p, lag);
+        let blended = blended(&learned(&samples), &samples, p, lead);
         proptest::prop_assert!((0.0..=1.0).contains(&blended), "{}", blended);
     }
 }

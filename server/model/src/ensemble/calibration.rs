@@ -6,7 +6,7 @@
 //! Invariant: the correction is in `[0,1]`, the dependence in `[0,1)`.
 
 use super::forecast::DayForecast;
-use super::looks::DayLooks;
+use super::bins::DayBins;
 
 /// The half-life of the correction, in observed days.
 const HALF_LIFE_DAYS: f64 = 3.0;
@@ -47,14 +47,14 @@ impl Calibration {
     }
 
     /// Learns from a day that was predicted before.
-    pub(super) fn learn(&mut self, forecast: &DayForecast, looks: &DayLooks) {
+    pub(super) fn learn(&mut self, forecast: &DayForecast, bins: &DayBins) {
         let add = |sums: &mut [f32; 2], half_life_days: f64, more: [f64; 2]| {
             let kept = libm::exp2(-1.0 / half_life_days);
             sums.iter_mut().zip(more).for_each(|(sum, more)| *sum = (kept * f64::from(*sum) + more) as f32);
         };
         let (mut departures, mut neighbours) = ([0.0; 2], [0.0; 2]);
         let mut before: Option<(usize, f64, f64)> = None;
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             let departure = forecast.uncorrected(slot) - forecast.mean();
             departures[0] += departure * (value - forecast.mean());
             departures[1] += departure * departure;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a forecast of a day uses no half-hour bin of that day except those in the tables.
 
-use super::looks::{SLOT_NANOS, SLOTS, slot_at};
+use super::bins::{SLOT_NANOS, SLOTS, slot_at};
 use super::outlook::{CLASSES, class_of};
 use super::pool::{MEMBERS, Member};
 use super::stack::{FEATURES, Features, clip, log_odds};
@@ -53,7 +53,7 @@ pub(super) struct DayForecast {
     /// The prediction by hour that counts where there are few bins: of the smooth table, else of the weekday table.
     smooth: [f64; HOURS],
     /// The equivalent number of bins of each hour.
-    looks: [f64; HOURS],
+    bins: [f64; HOURS],
     mean: f64,
     factor: f64,
     dependence: f64,
@@ -82,7 +82,7 @@ impl DayForecast {
 
     fn corrected(&self, slot: usize, pool: f64) -> f64 {
         let smooth = self.smooth[slot / 2];
-        let value = smooth + evidence(self.looks[slot / 2]) * (pool - smooth);
+        let value = smooth + evidence(self.bins[slot / 2]) * (pool - smooth);
         clip(self.mean + self.factor * (value - self.mean))
     }
 
@@ -102,7 +102,7 @@ impl DayForecast {
 
     fn predictive(&self, at: Moment, chosen: &dyn TemporalModel) -> Predictive {
         let hour = slot_at(at.civil_nanos()) / 2;
-        Predictive::new(self.predict(at, chosen), self.looks[hour], self.dependence)
+        Predictive::new(self.predict(at, chosen), self.bins[hour], self.dependence)
     }
 }
 
@@ -134,7 +134,7 @@ impl Ensemble {
                 .filter_map(|back| Some((seen(back)?, libm::exp2(-f64::from(back) / ROTATION_HALF_LIFE))))
                 .fold((base, 1.0), weigh);
             set(Member::Rotation, turned.0 / turned.1);
-            let (sum, number) = (f64::from(self.alike.sums[kind][slot]), f64::from(self.alike.looks[kind][slot]));
+            let (sum, number) = (f64::from(self.alike.sums[kind][slot]), f64::from(self.alike.bins[kind][slot]));
             set(Member::Alike, (sum + base) / (number + 1.0));
             let same = nth.iter().filter_map(|&back| Some((seen(back)?, 1.0)));
             let of_nth = same.fold((NTH_PRIOR * base, NTH_PRIOR), weigh);
@@ -170,7 +170,7 @@ impl Ensemble {
 
     /// The combined forecast of the members.
     pub(super) fn forecast_of(&self, day: LocalDay, members: &MemberDay) -> DayForecast {
-        let weights = self.pool.weights(self.looks);
+        let weights = self.pool.weights(self.bins);
         let kind = kind_of_day(day.weekday());
         let mut rest = [0.0; SLOTS];
         for (place, (values, weight)) in members.values.iter().zip(weights).enumerate() {
@@ -184,7 +184,7 @@ impl Ensemble {
             chosen_weight: weights[Member::Chosen as usize],
             // Every hour has enough bins where there is no smooth table.
             smooth: self.smooth.map_or(members.all.weekday, |smooth| smooth[kind]).map(clip),
-            looks: self.known[kind],
+            bins: self.known[kind],
             mean: clip(self.mean()),
             factor: self.calibration.factor(),
             dependence: self.calibration.dependence(),
@@ -209,8 +209,8 @@ impl Ensemble {
     pub fn around(&self, at: Moment, probability: f64) -> Predictive {
         let civil_nanos = at.civil_nanos();
         let kind = kind_of_day(LocalDay::of_civil_nanos(civil_nanos).weekday());
-        let looks = self.known[kind][slot_at(civil_nanos) / 2];
-        Predictive::new(probability, looks, self.calibration.dependence())
+        let bins = self.known[kind][slot_at(civil_nanos) / 2];
+        Predictive::new(probability, bins, self.calibration.dependence())
     }
 
     /// Predictions at moments; faster if the moments are in order of time, because each day is then forecast once.
@@ -242,11 +242,11 @@ impl Ensemble {
         let (class, kind) = (class_of(ahead).unwrap_or(0), kind_of_day(day.weekday()));
         let hour = slot_at(at.civil_nanos()) / 2;
         let pool = far.weights[class].predict(&far.profile, day, hour, chosen.predict(at), &self.season);
-        let looks = self.known[kind][hour];
+        let bins = self.known[kind][hour];
         let value = self.smooth.map_or(pool, |smooth| {
             let smooth = far.profile.moved(clip(smooth[kind][hour]), day);
-            smooth + evidence(looks) * (pool - smooth)
+            smooth + evidence(bins) * (pool - smooth)
         });
-        Predictive::new(clip(value), looks, self.calibration.dependence())
+        Predictive::new(clip(value), bins, self.calibration.dependence())
     }
 }

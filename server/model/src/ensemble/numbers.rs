@@ -23,7 +23,7 @@ use spread::Spread;
 use stack::LinearStack;
 use table::{Levels, Shapes, Tables};
 
-use super::looks::{DayLooks, SLOTS, slot_at};
+use super::bins::{DayBins, SLOTS, slot_at};
 use crate::special::square;
 use crate::{LocalDay, Sample, models::Moment, models::TemporalModel};
 
@@ -56,22 +56,22 @@ const UNSEEN: SeenDay = SeenDay { seen: 0, values: [0.0; SLOTS] };
 
 /// Number and mean of all bins, and the sum of their squared deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct LookScatter {
-    looks: f64,
+struct BinScatter {
+    bins: f64,
     mean: f64,
     squares: f64,
 }
 
-impl LookScatter {
+impl BinScatter {
     fn add(&mut self, value: f64) {
-        self.looks += 1.0;
+        self.bins += 1.0;
         let deviation = value - self.mean;
-        self.mean += deviation / self.looks;
+        self.mean += deviation / self.bins;
         self.squares += deviation * (value - self.mean);
     }
 
     fn variance(&self) -> f64 {
-        self.squares / self.looks.max(1.0)
+        self.squares / self.bins.max(1.0)
     }
 }
 
@@ -81,7 +81,7 @@ pub struct NumberEnsemble {
     /// The first reading; all other values are relative to it.
     origin: f64,
     last: Option<LocalDay>,
-    scatter: LookScatter,
+    scatter: BinScatter,
     tables: Tables,
     /// Indexed by the day's number modulo [`RECALL_DAYS`].
     recall: [SeenDay; RECALL_DAYS],
@@ -116,7 +116,7 @@ impl Default for NumberEnsemble {
         NumberEnsemble {
             origin: 0.0,
             last: None,
-            scatter: LookScatter::default(),
+            scatter: BinScatter::default(),
             tables: Tables::new(),
             recall: [UNSEEN; RECALL_DAYS],
             stacks: [SLOW, FAST].map(|kept| LinearStack::new(kept, members::WEIGHTS)),
@@ -172,9 +172,9 @@ impl NumberEnsemble {
         }
         self.prepare(day, others);
         let relative = |sample: &Sample| Sample { value: sample.value - self.origin, ..*sample };
-        let looks = DayLooks::of_samples(&samples.iter().map(relative).collect::<Vec<_>>());
+        let bins = DayBins::of_samples(&samples.iter().map(relative).collect::<Vec<_>>());
         let Some(prepared) = self.prepared.take() else {
-            self.add(day, &looks);
+            self.add(day, &bins);
             return None;
         };
         let error =
@@ -183,30 +183,30 @@ impl NumberEnsemble {
         let variance = self.scatter.variance();
         if let Some(members) = &prepared.members {
             for stack in &mut self.stacks {
-                let targets = looks.seen().map(|(slot, value)| (&members.features[slot], value - members.base[slot]));
+                let targets = bins.seen().map(|(slot, value)| (&members.features[slot], value - members.base[slot]));
                 stack.learn(targets, variance);
             }
-            self.pool.learn(&members.values, &looks);
-            self.spread.learn(day, &looks, &prepared.forecast);
+            self.pool.learn(&members.values, &bins);
+            self.spread.learn(day, &bins, &prepared.forecast);
         }
         let known = self.known_ahead(day, others);
         for class in 0..ahead::CLASSES {
             // The forecasts that the class would have made at its lead time before the day.
             if let Some((levels, days)) = self.ahead.kept(class, day) {
-                let said = self.said_ahead(class, &known, days, &levels);
-                self.ahead.judge(class, &looks, &said, variance);
+                let stored = self.stored_ahead(class, &known, days, &levels);
+                self.ahead.judge(class, &bins, &stored, variance);
             }
         }
-        self.add(day, &looks);
+        self.add(day, &bins);
         Some(error)
     }
 
     /// Adds bins without scoring.
-    fn add(&mut self, day: LocalDay, looks: &DayLooks) {
+    fn add(&mut self, day: LocalDay, bins: &DayBins) {
         let last = self.last;
         let age_days = last.map_or(0.0, |last| (f64::from(last.0) - f64::from(day.0)).max(0.0));
-        self.tables.add(day.weekday(), looks, last.is_some_and(|last| day > last), age_days);
-        looks.seen().for_each(|(_, value)| self.scatter.add(value));
+        self.tables.add(day.weekday(), bins, last.is_some_and(|last| day > last), age_days);
+        bins.seen().for_each(|(_, value)| self.scatter.add(value));
         let newest = last.is_none_or(|last| day > last);
         if newest {
             // The days between have no bins.
@@ -218,7 +218,7 @@ impl NumberEnsemble {
         }
         if age_days < RECALL_DAYS as f64 {
             let kept = &mut self.recall[place(day, 0)];
-            for (slot, value) in looks.seen() {
+            for (slot, value) in bins.seen() {
                 kept.seen |= 1 << slot;
                 kept.values[slot] = value;
             }
@@ -258,7 +258,7 @@ impl NumberEnsemble {
 
     /// The forecasts of the members of a lead-time class at a lead time of `days`. `levels`: the means of the tables
     /// when the forecasts are made.
-    fn said_ahead(&self, class: usize, known: &KnownAhead, days: i64, levels: &Levels) -> AheadMembers {
+    fn stored_ahead(&self, class: usize, known: &KnownAhead, days: i64, levels: &Levels) -> AheadMembers {
         let repeated = ahead::knows_repeated(class).then(|| self.repeated(known.day, days));
         self.ahead.members(class, &known.shapes, levels, &known.lasting, repeated.as_ref())
     }
@@ -266,8 +266,8 @@ impl NumberEnsemble {
     fn forecast_ahead(&self, day: LocalDay, others: OtherModels<'_>) -> [f64; SLOTS] {
         let days = self.days_ahead(day);
         let class = ahead::class_of(days).unwrap_or(0);
-        let said = self.said_ahead(class, &self.known_ahead(day, others), days, &self.tables.levels());
-        pooled(&said.values, self.ahead.pool_weights(class))
+        let stored = self.stored_ahead(class, &self.known_ahead(day, others), days, &self.tables.levels());
+        pooled(&stored.values, self.ahead.pool_weights(class))
     }
 
     /// Predictions at moments; faster if the moments are in order of time, because each day is then forecast once.

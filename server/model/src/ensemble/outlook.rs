@@ -7,7 +7,7 @@
 //! has no weight far beyond it. The plain mean has a weight of its own: the share of the bins that it explains, against
 //! the pool. Invariant: predictions lie strictly between 0 and 1.
 
-use super::looks::DayLooks;
+use super::bins::DayBins;
 use super::pool::normalised;
 use super::season::{Rhythm, Season};
 use super::stack::{clip, log_odds, probability};
@@ -58,7 +58,7 @@ const ALL: [FarMember; FAR_MEMBERS] = [
 /// the same forecast.
 const DEPENDENCE: f64 = 0.8;
 /// With fewer bins a class counts as not scored.
-const LOOKS_MIN: f64 = 20.0;
+const BINS_MIN: f64 = 20.0;
 /// The losses of a class count with this factor for the next longer class.
 const CARRIED: f64 = 0.3;
 /// A member with a window that is not yet scored has a weight up to a lead time of this many windows.
@@ -66,10 +66,10 @@ const WINDOWS: f64 = 4.0;
 /// The share of a class's sums that remains after each further observed day.
 const KEPT: f64 = 0.995;
 /// At most this many bins of a day count.
-const LOOKS_OF_DAY: f64 = 3.0;
+const BINS_OF_DAY: f64 = 3.0;
 /// The share of the mean before the first bin, and how many bins that counts as.
 const MEAN_SHARE: f64 = 0.1;
-const MEAN_LOOKS: f64 = 5.0;
+const MEAN_BINS: f64 = 5.0;
 
 impl FarMember {
     /// The number of days back that the data of the member reaches; `None`: all days.
@@ -108,7 +108,7 @@ fn bytes(week: &[Hours; 7]) -> Bytes {
 
 /// The stored forecasts of the members for a week, made at the end of a day.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Said {
+pub(super) struct StoredForecast {
     pub(super) day: LocalDay,
     pub(super) mean: f32,
     pub(super) week: Bytes,
@@ -134,8 +134,8 @@ impl Profile {
         moved(value, self.rhythm.at(day), clip(self.mean))
     }
 
-    fn said(&self, day: LocalDay) -> Said {
-        Said {
+    fn stored(&self, day: LocalDay) -> StoredForecast {
+        StoredForecast {
             day,
             mean: self.mean as f32,
             week: bytes(&self.week),
@@ -153,9 +153,9 @@ pub(super) struct Class {
     /// Number of bins explained by the pool, and by the mean; each bin is shared in proportion to their weighted
     /// likelihoods.
     pub(super) explained: [f32; 2],
-    pub(super) looks: f32,
+    pub(super) bins: f32,
     /// The stored forecasts of the two last turns of the class, the newer first.
-    pub(super) said: [Option<Box<Said>>; 2],
+    pub(super) stored: [Option<Box<StoredForecast>>; 2],
 }
 
 /// The weights of a lead-time class.
@@ -189,10 +189,10 @@ fn members(parts: (f64, f64, f64, f64), day: LocalDay, rhythm: &Rhythm, season: 
 }
 
 /// The stored forecasts for an hour of the week, 0 for Monday, midnight.
-fn members_of_said(said: &Said, day: LocalDay, hour_of_week: usize, season: &Season) -> [f64; FAR_MEMBERS] {
+fn members_of_stored(stored: &StoredForecast, day: LocalDay, hour_of_week: usize, season: &Season) -> [f64; FAR_MEMBERS] {
     let value = |bytes: &Bytes| f64::from(bytes[hour_of_week]) / 255.0;
-    let parts = (f64::from(said.mean), value(&said.week), value(&said.recent), value(&said.chosen));
-    members(parts, day, &said.rhythm, season)
+    let parts = (f64::from(stored.mean), value(&stored.week), value(&stored.recent), value(&stored.chosen));
+    members(parts, day, &stored.rhythm, season)
 }
 
 /// The weighted mean of the members.
@@ -212,13 +212,13 @@ impl FarWeights {
 
 impl Outlook {
     pub(super) const fn new() -> Outlook {
-        const CLASS: Class = Class { losses: [0.0; FAR_MEMBERS], explained: [0.0; 2], looks: 0.0, said: [None, None] };
+        const CLASS: Class = Class { losses: [0.0; FAR_MEMBERS], explained: [0.0; 2], bins: 0.0, stored: [None, None] };
         Outlook { classes: [CLASS; CLASSES] }
     }
 
     fn mean_share(&self, class: usize) -> f64 {
         let [pool, mean] = self.classes[class].explained.map(f64::from);
-        (mean + MEAN_SHARE * MEAN_LOOKS) / (pool + mean + MEAN_LOOKS)
+        (mean + MEAN_SHARE * MEAN_BINS) / (pool + mean + MEAN_BINS)
     }
 
     /// The weights of a class.
@@ -226,12 +226,12 @@ impl Outlook {
         let counted = |class: usize, member: usize| {
             f64::from(self.classes[class].losses[member]) * libm::pow(AHEAD_DAYS[class] as f64, -DEPENDENCE)
         };
-        let looks = f64::from(self.classes[class].looks);
+        let bins = f64::from(self.classes[class].bins);
         let mut logs = [0.0; FAR_MEMBERS];
         for (place, (log, member)) in logs.iter_mut().zip(ALL).enumerate() {
             *log = libm::log(member.prior()) - counted(class, place);
             let beyond = |days: f64| WINDOWS * days < AHEAD_DAYS[class] as f64;
-            if looks < LOOKS_MIN && member.window_days().is_some_and(beyond) {
+            if bins < BINS_MIN && member.window_days().is_some_and(beyond) {
                 *log = f64::NEG_INFINITY;
             }
         }
@@ -239,7 +239,7 @@ impl Outlook {
             let unlimited = |place: &usize| ALL[*place].window_days().is_none();
             let least =
                 (0..FAR_MEMBERS).filter(unlimited).map(|place| counted(shorter, place)).fold(f64::INFINITY, f64::min);
-            let carried = libm::pow(CARRIED, (class - shorter) as f64) * LOOKS_MIN / (LOOKS_MIN + looks);
+            let carried = libm::pow(CARRIED, (class - shorter) as f64) * BINS_MIN / (BINS_MIN + bins);
             for (place, log) in logs.iter_mut().enumerate() {
                 *log -= carried * if unlimited(&place) { counted(shorter, place) } else { least };
             }
@@ -248,16 +248,16 @@ impl Outlook {
     }
 
     /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has.
-    pub(super) fn judge(&mut self, day: LocalDay, looks: &DayLooks, season: &Season) {
-        let seen: Vec<(usize, f64)> = looks.seen().collect();
+    pub(super) fn judge(&mut self, day: LocalDay, bins: &DayBins, season: &Season) {
+        let seen: Vec<(usize, f64)> = bins.seen().collect();
         if seen.is_empty() {
             return;
         }
         for (class, &ahead_days) in AHEAD_DAYS.iter().enumerate() {
             let far = self.weights(class);
             let known = &mut self.classes[class];
-            let Some(said) = known.said[1].as_deref() else { continue };
-            if i64::from(day.0) - i64::from(said.day.0) < ahead_days {
+            let Some(stored) = known.stored[1].as_deref() else { continue };
+            if i64::from(day.0) - i64::from(stored.day.0) < ahead_days {
                 continue;
             }
             let (mut explained, mut losses) = ([0.0; 2], [0.0; FAR_MEMBERS]);
@@ -266,7 +266,7 @@ impl Outlook {
                 let hour = day.weekday() * HOURS + slot / 2;
                 let values = match last {
                     Some((known, values)) if known == hour => values,
-                    _ => members_of_said(said, day, hour, season),
+                    _ => members_of_stored(stored, day, hour, season),
                 };
                 last = Some((hour, values));
                 let likelihood = |p: f64| p * value + (1.0 - p) * (1.0 - value);
@@ -279,11 +279,11 @@ impl Outlook {
                 }
             }
             let number = seen.len() as f64;
-            let counted = number.min(LOOKS_OF_DAY);
+            let counted = number.min(BINS_OF_DAY);
             let add = |sum: &mut f32, more: f64| *sum = (KEPT * f64::from(*sum) + more / number * counted) as f32;
             known.losses.iter_mut().zip(losses).for_each(|(sum, loss)| add(sum, loss));
             known.explained.iter_mut().zip(explained).for_each(|(sum, more)| add(sum, more));
-            add(&mut known.looks, number);
+            add(&mut known.bins, number);
         }
     }
 
@@ -296,7 +296,7 @@ impl Outlook {
     /// Stores the forecasts at the end of a day.
     pub(super) fn keep(&mut self, turns: [bool; CLASSES], day: LocalDay, profile: &Profile) {
         for (class, _) in self.classes.iter_mut().zip(turns).filter(|(_, turn)| *turn) {
-            class.said[1] = class.said[0].replace(Box::new(profile.said(day)));
+            class.stored[1] = class.stored[0].replace(Box::new(profile.stored(day)));
         }
     }
 }

@@ -4,15 +4,15 @@
 
 use std::sync::OnceLock;
 
-use super::looks::SLOTS;
-use super::outlook::{CLASSES, Class, FAR_MEMBERS, Said};
+use super::bins::SLOTS;
+use super::outlook::{CLASSES, Class, FAR_MEMBERS, StoredForecast};
 use super::pool::MEMBERS;
 use super::recall::{DAYS, SeenDay};
 use super::rotation::{LONGEST, ROTATIONS};
-use super::season::{Bin, GAPS, Rhythm};
+use super::season::{FiveDays, GAPS, Rhythm};
 use super::stack::{FEATURES, PAIRS};
 use super::week_table::{LEVELS, PRIORS};
-use super::{Ensemble, Recall, Stack, WeekTable, equivalent_looks};
+use super::{Ensemble, Recall, Stack, WeekTable, equivalent_bins};
 use crate::hours_seen::HOURS;
 use crate::{InvalidParts, LocalDay};
 
@@ -25,7 +25,7 @@ const DAY_BYTES: usize = 8 + SLOTS / 2;
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnsembleParts {
     /// Sum and number of all looks.
-    pub looks: [f64; 2],
+    pub bins: [f64; 2],
     /// The last learned day.
     pub last_day: Option<LocalDay>,
     /// Of the table of all history, then of the recent one: 168 sums, 168 numbers of looks, 24 weights of priors.
@@ -42,7 +42,7 @@ pub struct EnsembleParts {
     /// By rotation: 41 sums of products, 41 of squares.
     pub rotations: Vec<f32>,
     /// Means of five days: first day, mean, looks.
-    pub bins: Vec<(i32, f32, f32)>,
+    pub five_days: Vec<(i32, f32, f32)>,
     /// The first and the last day of the season.
     pub season_days: [Option<LocalDay>; 2],
     /// Gaps between observed days by class.
@@ -69,14 +69,14 @@ pub struct ClassParts {
     /// Looks explained by the pool, and by the mean.
     pub explained: [f32; 2],
     /// Number of looks.
-    pub looks: f32,
+    pub bins: f32,
     /// What was said before, the newer first.
-    pub said: [Option<SaidParts>; 2],
+    pub stored: [Option<StoredForecastParts>; 2],
 }
 
 /// What the members said at the end of a day, for storage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SaidParts {
+pub struct StoredForecastParts {
     /// The day.
     pub day: LocalDay,
     /// The mean.
@@ -126,15 +126,15 @@ fn rhythm_of(parts: &[f64; 7]) -> Result<Rhythm, InvalidParts> {
 
 impl WeekTable {
     fn to_parts(&self) -> Vec<f32> {
-        let looks = self.looks.as_flattened();
-        [self.sums.as_flattened(), looks, self.weights.as_flattened()].concat()
+        let bins = self.bins.as_flattened();
+        [self.sums.as_flattened(), bins, self.weights.as_flattened()].concat()
     }
 
     fn restore(&mut self, mut parts: &[f32]) -> Result<(), InvalidParts> {
         const FIELD: &str = "week table of an ensemble";
         check_finite(parts, FIELD)?;
         self.sums.as_flattened_mut().copy_from_slice(&take::<WEEK, _>(&mut parts, FIELD)?);
-        self.looks.as_flattened_mut().copy_from_slice(&take::<WEEK, _>(&mut parts, FIELD)?);
+        self.bins.as_flattened_mut().copy_from_slice(&take::<WEEK, _>(&mut parts, FIELD)?);
         self.weights.as_flattened_mut().copy_from_slice(&take::<{ LEVELS * PRIORS }, _>(&mut parts, FIELD)?);
         if self.weights.as_flattened().iter().any(|&weight| weight <= 0.0) {
             return Err(wrong("weights of an ensemble's priors", 0));
@@ -158,14 +158,14 @@ impl Stack {
     }
 }
 
-impl Said {
-    fn to_parts(&self) -> SaidParts {
+impl StoredForecast {
+    fn to_parts(&self) -> StoredForecastParts {
         let weeks = [&self.week[..], &self.recent, &self.chosen].concat();
-        SaidParts { day: self.day, mean: self.mean, weeks, rhythm: rhythm_parts(&self.rhythm) }
+        StoredForecastParts { day: self.day, mean: self.mean, weeks, rhythm: rhythm_parts(&self.rhythm) }
     }
 
-    fn of_parts(parts: &SaidParts) -> Result<Said, InvalidParts> {
-        const FIELD: &str = "what an ensemble said before";
+    fn of_parts(parts: &StoredForecastParts) -> Result<StoredForecast, InvalidParts> {
+        const FIELD: &str = "stored forecast of an ensemble";
         InvalidParts::check(FIELD, parts.mean.into(), 0.0..=1.0)?;
         let mut weeks = parts.weeks.as_slice();
         let [week, recent, chosen] = [
@@ -174,24 +174,24 @@ impl Said {
             take::<WEEK, _>(&mut weeks, FIELD)?,
         ];
         finish(weeks, FIELD)?;
-        Ok(Said { day: parts.day, mean: parts.mean, week, recent, chosen, rhythm: rhythm_of(&parts.rhythm)? })
+        Ok(StoredForecast { day: parts.day, mean: parts.mean, week, recent, chosen, rhythm: rhythm_of(&parts.rhythm)? })
     }
 }
 
 impl Class {
     fn to_parts(&self) -> ClassParts {
-        let said = self.said.each_ref().map(|said| said.as_ref().map(|said| said.to_parts()));
-        ClassParts { losses: self.losses, explained: self.explained, looks: self.looks, said }
+        let stored = self.stored.each_ref().map(|stored| stored.as_ref().map(|stored| stored.to_parts()));
+        ClassParts { losses: self.losses, explained: self.explained, bins: self.bins, stored }
     }
 
     fn of_parts(parts: &ClassParts) -> Result<Class, InvalidParts> {
-        let numbers = parts.losses.iter().chain(&parts.explained).chain([&parts.looks]);
+        let numbers = parts.losses.iter().chain(&parts.explained).chain([&parts.bins]);
         for &number in numbers {
-            InvalidParts::check("errors far ahead", number.into(), 0.0..=f32::MAX.into())?;
+            InvalidParts::check("errors at a lead time", number.into(), 0.0..=f32::MAX.into())?;
         }
-        let said = |said: &Option<SaidParts>| said.as_ref().map(|said| Said::of_parts(said).map(Box::new)).transpose();
-        let said = [said(&parts.said[0])?, said(&parts.said[1])?];
-        Ok(Class { losses: parts.losses, explained: parts.explained, looks: parts.looks, said })
+        let stored = |stored: &Option<StoredForecastParts>| stored.as_ref().map(|stored| StoredForecast::of_parts(stored).map(Box::new)).transpose();
+        let stored = [stored(&parts.stored[0])?, stored(&parts.stored[1])?];
+        Ok(Class { losses: parts.losses, explained: parts.explained, bins: parts.bins, stored })
     }
 }
 
@@ -204,16 +204,16 @@ fn recall_of(bytes: &[u8], last: Option<LocalDay>) -> Result<Recall, InvalidPart
         SeenDay { seen: u64::from_le_bytes(seen), values }
     };
     let recall = Recall::from_days(days.iter().map(day).collect(), last).filter(|_| rest.is_empty());
-    recall.ok_or_else(|| wrong("looks of the last days", bytes.len()))
+    recall.ok_or_else(|| wrong("bins of the last days", bytes.len()))
 }
 
 impl Ensemble {
     /// The parts to store.
     pub fn to_parts(&self) -> EnsembleParts {
-        let alike = [&self.alike.sums, &self.alike.looks, &self.alike.last];
+        let alike = [&self.alike.sums, &self.alike.bins, &self.alike.last];
         let bytes = |day: &SeenDay| day.seen.to_le_bytes().into_iter().chain(day.values).collect::<Vec<u8>>();
         EnsembleParts {
-            looks: [self.sum, self.looks],
+            bins: [self.sum, self.bins],
             last_day: self.recall.last(),
             tables: [self.all.to_parts(), self.recent.to_parts()],
             alike: alike.into_iter().flat_map(|kinds| kinds.as_flattened()).copied().collect(),
@@ -221,7 +221,7 @@ impl Ensemble {
             residuals: self.rotation.residuals.as_flattened().to_vec(),
             residuals_day: self.rotation.last,
             rotations: [self.rotation.products, self.rotation.squares].concat(),
-            bins: self.season.bins.iter().map(|bin| (bin.day, bin.mean, bin.looks)).collect(),
+            five_days: self.season.five_days.iter().map(|days| (days.day, days.mean, days.bins)).collect(),
             season_days: [self.season.first, self.season.last],
             gaps: self.season.gaps,
             rhythm: rhythm_parts(&self.season.rhythm),
@@ -232,7 +232,7 @@ impl Ensemble {
                 let [[one, two], [three, four]] = [self.calibration.departures, self.calibration.neighbours];
                 [one, two, three, four]
             },
-            smooth: self.smooth.map(|smooth| (smooth.as_flattened().to_vec(), self.smooth_looks)),
+            smooth: self.smooth.map(|smooth| (smooth.as_flattened().to_vec(), self.smooth_bins)),
         }
     }
 
@@ -242,16 +242,16 @@ impl Ensemble {
     /// [`InvalidParts`] where a list has a wrong length or a number is outside its range.
     pub fn from_parts(parts: &EnsembleParts) -> Result<Ensemble, InvalidParts> {
         let mut ensemble = Ensemble::new();
-        let [sum, looks] = parts.looks;
-        InvalidParts::check("number of looks", looks, 0.0..=1e15)?;
-        InvalidParts::check("sum of looks", sum, 0.0..=looks * (1.0 + 1e-9))?;
-        (ensemble.sum, ensemble.looks) = (sum, looks);
+        let [sum, bins] = parts.bins;
+        InvalidParts::check("number of bins", bins, 0.0..=1e15)?;
+        InvalidParts::check("sum of bins", sum, 0.0..=bins * (1.0 + 1e-9))?;
+        (ensemble.sum, ensemble.bins) = (sum, bins);
         ensemble.all.restore(&parts.tables[0])?;
         ensemble.recent.restore(&parts.tables[1])?;
         const ALIKE: &str = "days of a kind of an ensemble";
         check_finite(&parts.alike, ALIKE)?;
         let mut alike = parts.alike.as_slice();
-        for kinds in [&mut ensemble.alike.sums, &mut ensemble.alike.looks, &mut ensemble.alike.last] {
+        for kinds in [&mut ensemble.alike.sums, &mut ensemble.alike.bins, &mut ensemble.alike.last] {
             kinds.as_flattened_mut().copy_from_slice(&take::<{ 2 * SLOTS }, _>(&mut alike, ALIKE)?);
         }
         finish(alike, ALIKE)?;
@@ -269,13 +269,13 @@ impl Ensemble {
         ensemble.rotation.products = take::<ROTATIONS, _>(&mut rotations, ROTATIONS_FIELD)?;
         ensemble.rotation.squares = take::<ROTATIONS, _>(&mut rotations, ROTATIONS_FIELD)?;
         finish(rotations, ROTATIONS_FIELD)?;
-        let bin = |&(day, mean, looks): &(i32, f32, f32)| {
+        let five_days = |&(day, mean, bins): &(i32, f32, f32)| {
             InvalidParts::check("mean of five days", mean.into(), 0.0..=1.0)?;
-            InvalidParts::check("looks of five days", looks.into(), f64::MIN_POSITIVE..=f32::MAX.into())?;
-            Ok(Bin { day, mean, looks })
+            InvalidParts::check("bins of five days", bins.into(), f64::MIN_POSITIVE..=f32::MAX.into())?;
+            Ok(FiveDays { day, mean, bins })
         };
-        ensemble.season.bins = parts.bins.iter().map(bin).collect::<Result<_, InvalidParts>>()?;
-        if !ensemble.season.bins.is_sorted_by_key(|bin| bin.day) {
+        ensemble.season.five_days = parts.five_days.iter().map(five_days).collect::<Result<_, InvalidParts>>()?;
+        if !ensemble.season.five_days.is_sorted_by_key(|days| days.day) {
             return Err(wrong("order of the means of five days", 0));
         }
         [ensemble.season.first, ensemble.season.last] = parts.season_days;
@@ -292,20 +292,20 @@ impl Ensemble {
         check_finite(&parts.calibration, "calibration of an ensemble")?;
         let [one, two, three, four] = parts.calibration;
         (ensemble.calibration.departures, ensemble.calibration.neighbours) = ([one, two], [three, four]);
-        if let Some((values, looks)) = &parts.smooth {
+        if let Some((values, bins)) = &parts.smooth {
             let mut values = values.as_slice();
             let hours = take::<{ 2 * HOURS }, _>(&mut values, "smooth table")?;
             finish(values, "smooth table")?;
             for value in hours {
                 InvalidParts::check("smooth table", value, 0.0..=1.0)?;
             }
-            InvalidParts::check("looks of the smooth table", *looks, 0.0..=1e15)?;
+            InvalidParts::check("bins of the smooth table", *bins, 0.0..=1e15)?;
             let mut smooth = [[0.0; HOURS]; 2];
             smooth.as_flattened_mut().copy_from_slice(&hours);
-            (ensemble.smooth, ensemble.smooth_looks) = (Some(smooth), *looks);
+            (ensemble.smooth, ensemble.smooth_bins) = (Some(smooth), *bins);
         }
         debug_assert!(ensemble.recall.days().is_empty() || ensemble.recall.days().len() == DAYS);
-        ensemble.known = equivalent_looks(&ensemble.all.looks_by_kind());
+        ensemble.known = equivalent_bins(&ensemble.all.bins_by_kind());
         ensemble.far = OnceLock::new();
         Ok(ensemble)
     }

@@ -62,17 +62,17 @@ const KEPT: f64 = 0.97;
 /// The factor on losses in the exponent of the weights.
 const RATE: f64 = 0.5;
 /// The smooth table loses its weight while the number of bins grows to this.
-const SMOOTH_LOOKS: f64 = 300.0;
+const SMOOTH_BINS: f64 = 300.0;
 
 impl Member {
-    /// The prior weight of a member of a state with `looks` bins.
-    fn prior(self, looks: f64) -> f64 {
+    /// The prior weight of a member of a state with `bins` bins.
+    fn prior(self, bins: f64) -> f64 {
         match self {
             Member::Mean => 4.0,
             Member::Hour => 1.0,
             Member::Kind | Member::Weekday | Member::Chosen => 2.0,
             Member::SlowStack | Member::FastStack => 3.0,
-            Member::Smooth => 20.0 * (1.0 - looks / SMOOTH_LOOKS).max(0.0),
+            Member::Smooth => 20.0 * (1.0 - bins / SMOOTH_BINS).max(0.0),
             _ => 0.5,
         }
     }
@@ -95,11 +95,11 @@ impl Pool {
         Pool { losses: [0.0; MEMBERS] }
     }
 
-    /// The weights of the members after `looks` bins.
-    pub(super) fn weights(&self, looks: f64) -> [f64; MEMBERS] {
+    /// The weights of the members after `bins` bins.
+    pub(super) fn weights(&self, bins: f64) -> [f64; MEMBERS] {
         let mut weights = [0.0; MEMBERS];
         for ((weight, member), &loss) in weights.iter_mut().zip(ALL).zip(&self.losses) {
-            *weight = libm::log(member.prior(looks)) - RATE * f64::from(loss);
+            *weight = libm::log(member.prior(bins)) - RATE * f64::from(loss);
         }
         normalised(weights)
     }

@@ -4,7 +4,7 @@
 //! of 1/14; 0 and 1 are exact. Invariant: a day that is older than the last one by [`DAYS`] or more is forgotten, and
 //! days between without bins are empty.
 
-use super::looks::{DayLooks, SLOTS};
+use super::bins::{DayBins, SLOTS};
 use crate::LocalDay;
 
 /// Number of days that are kept: eighteen weeks, so that four occurrences of the same weekday of the month are among
@@ -25,9 +25,9 @@ pub(super) struct SeenDay {
 impl SeenDay {
     const NONE: SeenDay = SeenDay { seen: 0, values: [0; SLOTS / 2] };
 
-    fn of_looks(looks: &DayLooks) -> SeenDay {
+    fn of_bins(bins: &DayBins) -> SeenDay {
         let mut day = SeenDay::NONE;
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             // Between 0 and 14, for values in [0, 1].
             let step = (value.clamp(0.0, 1.0) * STEPS).round() as u8;
             day.seen |= 1 << slot;
@@ -79,11 +79,11 @@ impl Recall {
     }
 
     /// Stores a day. The bins of a day that is not the newest are added to its stored bins.
-    pub(super) fn learn(&mut self, day: LocalDay, looks: &DayLooks) {
+    pub(super) fn learn(&mut self, day: LocalDay, bins: &DayBins) {
         if self.days.is_empty() {
             self.days = vec![SeenDay::NONE; DAYS];
         }
-        let of_day = SeenDay::of_looks(looks);
+        let of_day = SeenDay::of_bins(bins);
         match self.last {
             Some(last) if day <= last => {
                 if i64::from(last.0) - i64::from(day.0) < DAYS as i64 {
@@ -128,38 +128,38 @@ mod tests {
     use super::*;
     use crate::Sample;
 
-    fn looks(values: &[(i64, f64)]) -> DayLooks {
+    fn bins(values: &[(i64, f64)]) -> DayBins {
         let sample =
             |&(slot, value): &(i64, f64)| Sample { utc_nanos: slot * 1_800_000_000_000, offset_secs: 0, value };
-        DayLooks::of_samples(&values.iter().map(sample).collect::<Vec<_>>())
+        DayBins::of_samples(&values.iter().map(sample).collect::<Vec<_>>())
     }
 
     #[test]
     fn what_was_seen_is_recalled_and_old_days_are_forgotten() {
         let mut recall = Recall::new();
         assert_eq!((recall.day(LocalDay(0)), recall.last()), (None, None));
-        recall.learn(LocalDay(-3), &looks(&[(0, 1.0), (47, 0.0), (20, 0.5)]));
+        recall.learn(LocalDay(-3), &bins(&[(0, 1.0), (47, 0.0), (20, 0.5)]));
         let seen = |recall: &Recall, day, slot| recall.day(LocalDay(day)).and_then(|day| day.value(slot));
         assert_eq!([0, 47, 20, 1].map(|slot| seen(&recall, -3, slot)), [Some(1.0), Some(0.0), Some(0.5), None]);
-        recall.learn(LocalDay(4), &looks(&[(3, 1.0)]));
+        recall.learn(LocalDay(4), &bins(&[(3, 1.0)]));
         assert_eq!((seen(&recall, -3, 0), seen(&recall, 0, 0), seen(&recall, 4, 3)), (Some(1.0), None, Some(1.0)));
-        recall.learn(LocalDay(-3 + DAYS as i32), &looks(&[(3, 0.0)]));
+        recall.learn(LocalDay(-3 + DAYS as i32), &bins(&[(3, 0.0)]));
         assert_eq!((seen(&recall, -3, 0), seen(&recall, 4, 3)), (None, Some(1.0)));
-        recall.learn(LocalDay(1_000_000), &looks(&[(3, 0.0)]));
+        recall.learn(LocalDay(1_000_000), &bins(&[(3, 0.0)]));
         assert_eq!((seen(&recall, 4, 3), seen(&recall, 1_000_000, 3)), (None, Some(0.0)));
     }
 
     #[test]
     fn late_readings_join_the_day_that_they_are_of() {
         let mut recall = Recall::new();
-        recall.learn(LocalDay(9), &looks(&[(5, 1.0)]));
-        recall.learn(LocalDay(7), &looks(&[(5, 1.0), (6, 0.0)]));
-        recall.learn(LocalDay(7), &looks(&[(5, 0.0), (8, 1.0)]));
+        recall.learn(LocalDay(9), &bins(&[(5, 1.0)]));
+        recall.learn(LocalDay(7), &bins(&[(5, 1.0), (6, 0.0)]));
+        recall.learn(LocalDay(7), &bins(&[(5, 0.0), (8, 1.0)]));
         let day = recall.day(LocalDay(7)).unwrap();
         assert_eq!([5, 6, 8, 9].map(|slot| day.value(slot)), [Some(1.0), Some(0.0), Some(1.0), None]);
         assert_eq!((day.value_near(7), day.value_near(4), day.value_near(20)), (Some(0.0), Some(1.0), None));
         assert_eq!(recall.last(), Some(LocalDay(9)));
-        recall.learn(LocalDay(9 - DAYS as i32), &looks(&[(5, 1.0)]));
+        recall.learn(LocalDay(9 - DAYS as i32), &bins(&[(5, 1.0)]));
         assert_eq!(recall.day(LocalDay(9 - DAYS as i32)), None);
     }
 }

@@ -5,7 +5,7 @@
 //! true rotation and its multiples. A wrong choice does little: it only smooths over some days. Invariant: the numbers
 //! of days are [`SHORTEST`]`..=`[`LONGEST`] without the week.
 
-use super::looks::SLOTS;
+use super::bins::SLOTS;
 use crate::LocalDay;
 
 /// The shortest rotation in days.

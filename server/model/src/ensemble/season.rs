@@ -16,7 +16,7 @@ use crate::special::square;
 /// Number of days of one mean.
 const BIN_DAYS: i64 = 5;
 /// Maximum number of means: four years.
-const BINS_MAX: usize = 293;
+const FIVE_DAYS_MAX: usize = 293;
 const YEAR_DAYS: f64 = 365.25;
 /// Maximum number of harmonics of the year.
 const ORDERS: usize = 3;
@@ -36,7 +36,7 @@ const OFTEN_SOLVED: usize = 40;
 /// Means less than this many days apart are neighbours.
 const ADJACENT_DAYS: f64 = 7.5;
 /// The rhythm counts as this many bins, beside the bins of the same days of earlier years.
-const RHYTHM_LOOKS: f64 = 4.0;
+const RHYTHM_BINS: f64 = 4.0;
 /// The weight of the five days before and of the five days after.
 const BESIDE: f64 = 0.25;
 /// Number of earlier years that are used.
@@ -44,14 +44,14 @@ const YEARS: i64 = 4;
 
 /// The half-hour bins of five days.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Bin {
+pub(super) struct FiveDays {
     /// The first observed day.
     pub(super) day: i32,
     pub(super) mean: f32,
-    pub(super) looks: f32,
+    pub(super) bins: f32,
 }
 
-impl Bin {
+impl FiveDays {
     fn number(self) -> i64 {
         i64::from(self.day).div_euclid(BIN_DAYS)
     }
@@ -60,7 +60,7 @@ impl Bin {
 /// Means of five days each, and the rhythm of the year that follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Season {
-    pub(super) bins: Vec<Bin>,
+    pub(super) five_days: Vec<FiveDays>,
     pub(super) first: Option<LocalDay>,
     pub(super) last: Option<LocalDay>,
     /// Number of gaps between observed days in each class; see [`GAPS`].
@@ -116,7 +116,7 @@ impl Rhythm {
 impl Season {
     pub(super) const fn new() -> Season {
         Season {
-            bins: Vec::new(),
+            five_days: Vec::new(),
             first: None,
             last: None,
             gaps: [0; GAPS.len()],
@@ -126,20 +126,20 @@ impl Season {
     }
 
     /// Learns the half-hour bins of a day: their sum and number, above 0.
-    pub(super) fn learn(&mut self, day: LocalDay, sum: f64, looks: f64) {
+    pub(super) fn learn(&mut self, day: LocalDay, sum: f64, bins: f64) {
         let number = i64::from(day.0).div_euclid(BIN_DAYS);
-        let place = self.bins.partition_point(|bin| bin.number() < number);
-        let bins = self.bins.len();
-        match self.bins.get_mut(place).filter(|bin| bin.number() == number) {
-            Some(bin) => {
-                let (before, all) = (f64::from(bin.looks), f64::from(bin.looks) + looks);
-                bin.mean = ((f64::from(bin.mean) * before + sum) / all) as f32;
-                bin.looks = all as f32;
+        let place = self.five_days.partition_point(|days| days.number() < number);
+        let five_days = self.five_days.len();
+        match self.five_days.get_mut(place).filter(|days| days.number() == number) {
+            Some(days) => {
+                let (before, all) = (f64::from(days.bins), f64::from(days.bins) + bins);
+                days.mean = ((f64::from(days.mean) * before + sum) / all) as f32;
+                days.bins = all as f32;
             }
             None => {
-                self.bins.insert(place, Bin { day: day.0, mean: (sum / looks) as f32, looks: looks as f32 });
-                if self.bins.len() > BINS_MAX {
-                    self.bins.remove(0);
+                self.five_days.insert(place, FiveDays { day: day.0, mean: (sum / bins) as f32, bins: bins as f32 });
+                if self.five_days.len() > FIVE_DAYS_MAX {
+                    self.five_days.remove(0);
                 }
             }
         }
@@ -151,7 +151,7 @@ impl Season {
         self.first = Some(self.first.map_or(day, |first| first.min(day)));
         self.last = Some(self.last.map_or(day, |last| last.max(day)));
         // A year has too many means to fit the rhythm again every day.
-        if self.bins.len() != bins || self.bins.len() < OFTEN_SOLVED {
+        if self.five_days.len() != five_days || self.five_days.len() < OFTEN_SOLVED {
             self.rhythm = self.solve();
         }
     }
@@ -170,17 +170,17 @@ impl Season {
     }
 
     fn solve(&self) -> Rhythm {
-        let looks: f64 = self.bins.iter().map(|bin| f64::from(bin.looks)).sum();
-        let sum: f64 = self.bins.iter().map(|bin| f64::from(bin.looks) * f64::from(bin.mean)).sum();
-        let mean = (sum + 0.5) / (looks + 1.0);
+        let bins: f64 = self.five_days.iter().map(|days| f64::from(days.bins)).sum();
+        let sum: f64 = self.five_days.iter().map(|days| f64::from(days.bins) * f64::from(days.mean)).sum();
+        let mean = (sum + 0.5) / (bins + 1.0);
         let flat = Rhythm { mean, waves: [[0.0; 2]; ORDERS] };
         let span = self.first.zip(self.last).map_or(0.0, |(first, last)| f64::from(last.0) - f64::from(first.0));
         let year_seen = if self.is_expected { EXPECTED_YEAR_SEEN } else { YEAR_SEEN };
-        if self.bins.len() < 6 || span + self.usual_gap() < year_seen * YEAR_DAYS {
+        if self.five_days.len() < 6 || span + self.usual_gap() < year_seen * YEAR_DAYS {
             return flat;
         }
-        let number = self.bins.len() as f64;
-        let values: Vec<f64> = self.bins.iter().map(|bin| f64::from(bin.mean)).collect();
+        let number = self.five_days.len() as f64;
+        let values: Vec<f64> = self.five_days.iter().map(|days| f64::from(days.mean)).collect();
         let centre = values.iter().sum::<f64>() / number;
         let flat_error: f64 = values.iter().map(|value| square(value - centre)).sum();
         let solved: Vec<Solved> =
@@ -221,7 +221,7 @@ impl Season {
             return None;
         }
         let basis = DMatrix::from_fn(number, width, |row, column| {
-            let day = self.bins.get(row).map_or(0.0, |bin| f64::from(bin.day));
+            let day = self.five_days.get(row).map_or(0.0, |days| f64::from(days.day));
             if column == 0 { 1.0 } else { phases(day)[(column - 1) / 2][(column - 1) % 2] }
         });
         let values = DVector::from_column_slice(values);
@@ -234,7 +234,7 @@ impl Season {
         let squared_error = errors.norm_squared();
         let adjacent: Vec<f64> = (1..number)
             .filter(|&at| {
-                let days = self.bins.get(at).zip(self.bins.get(at - 1)).map(|(bin, before)| bin.day - before.day);
+                let days = self.five_days.get(at).zip(self.five_days.get(at - 1)).map(|(days, before)| days.day - before.day);
                 days.is_some_and(|days| f64::from(days) < ADJACENT_DAYS)
             })
             .map(|at| errors[at] * errors[at - 1])
@@ -252,15 +252,15 @@ impl Season {
 
     /// The mean of the state on the same days of earlier years, shrunk to `rhythm`'s value on the day.
     pub(super) fn years_ago(&self, day: LocalDay, rhythm: &Rhythm) -> f64 {
-        let (mut sum, mut number) = (RHYTHM_LOOKS * rhythm.at(day), RHYTHM_LOOKS);
+        let (mut sum, mut number) = (RHYTHM_BINS * rhythm.at(day), RHYTHM_BINS);
         for years in 1..=YEARS {
             let then = (f64::from(day.0) - years as f64 * YEAR_DAYS) / BIN_DAYS as f64;
             let middle = then.floor() as i64;
-            for (bin, share) in [(middle - 1, BESIDE), (middle, 1.0), (middle + 1, BESIDE)] {
-                let place = self.bins.partition_point(|known| known.number() < bin);
-                if let Some(known) = self.bins.get(place).filter(|known| known.number() == bin) {
-                    sum += share * f64::from(known.looks) * f64::from(known.mean);
-                    number += share * f64::from(known.looks);
+            for (number, share) in [(middle - 1, BESIDE), (middle, 1.0), (middle + 1, BESIDE)] {
+                let place = self.five_days.partition_point(|known| known.number() < number);
+                if let Some(known) = self.five_days.get(place).filter(|known| known.number() == number) {
+                    sum += share * f64::from(known.bins) * f64::from(known.mean);
+                    number += share * f64::from(known.bins);
                 }
             }
         }
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_year_that_is_named_needs_fewer_looks() {
+    fn a_year_that_is_named_needs_fewer_bins() {
         // Eleven monthly bins; those of the winter differ.
         let swing = |is_expected: bool| {
             let mut season = Season { is_expected, ..Season::new() };
@@ -318,10 +318,10 @@ mod tests {
     #[test]
     fn means_are_bounded_and_late_days_join_theirs() {
         let mut long = season(0..3000, 1, |_| 1.0);
-        assert_eq!(long.bins.len(), BINS_MAX);
-        let bins = long.bins.len();
+        assert_eq!(long.five_days.len(), FIVE_DAYS_MAX);
+        let five_days = long.five_days.len();
         long.learn(LocalDay(2500), 0.0, 2.0);
-        assert_eq!(long.bins.len(), bins);
-        assert!(long.bins.is_sorted_by_key(|bin| bin.day));
+        assert_eq!(long.five_days.len(), five_days);
+        assert!(long.five_days.is_sorted_by_key(|days| days.day));
     }
 }

@@ -61,22 +61,22 @@ struct Solved {
 
 /// The smooth table of the bins in a table of sums.
 pub(super) fn smooth_table(table: &WeekTable) -> KindHours {
-    let (sums, looks) = (table.sums_by_kind(), table.looks_by_kind());
-    let (sums, looks) = (sums.as_flattened(), looks.as_flattened());
-    let (number, sum): (f64, f64) = (looks.iter().sum(), sums.iter().sum());
+    let (sums, bins) = (table.sums_by_kind(), table.bins_by_kind());
+    let (sums, bins) = (sums.as_flattened(), bins.as_flattened());
+    let (number, sum): (f64, f64) = (bins.iter().sum(), sums.iter().sum());
     let mean = (sum + PRIOR) / (number + 1.0);
     let variance = (mean * (1.0 - mean)).max(0.25 / (number + 2.0));
-    let seen: Vec<usize> = (0..CELLS).filter(|&cell| looks[cell] > 1e-9).collect();
+    let seen: Vec<usize> = (0..CELLS).filter(|&cell| bins[cell] > 1e-9).collect();
     let edge = 0.5 / (number + 2.0);
     let solve = |shape: Option<&DMatrix<f64>>| {
         let share = if shape.is_some() { SHAPE_SHARE } else { 0.0 };
         let covariance = |one: usize, other: usize| variance * (1.0 + share * shape.map_or(0.0, |s| s[(one, other)]));
         let noise = variance * (1.0 - share).max(NOISE_MIN);
         let of_seen = DMatrix::from_fn(seen.len(), seen.len(), |row, column| {
-            let own = if row == column { noise / looks[seen[row]] } else { 0.0 };
+            let own = if row == column { noise / bins[seen[row]] } else { 0.0 };
             covariance(seen[row], seen[column]) + own
         });
-        let departures = DVector::from_iterator(seen.len(), seen.iter().map(|&cell| sums[cell] / looks[cell] - PRIOR));
+        let departures = DVector::from_iterator(seen.len(), seen.iter().map(|&cell| sums[cell] / bins[cell] - PRIOR));
         let factor = Cholesky::new(of_seen)?;
         let weights = factor.solve(&departures);
         let halved_log: f64 = factor.l_dirty().diagonal().iter().map(|&entry| libm::log(entry)).sum();

@@ -9,7 +9,7 @@
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
-use super::looks::{DayLooks, SLOTS};
+use super::bins::{DayBins, SLOTS};
 
 /// Number of members whose log odds are features.
 pub(super) const MEMBERS: usize = 7;
@@ -98,10 +98,10 @@ impl Stack {
     }
 
     /// Learns the bins of a day from the features that were computed before the day.
-    pub(super) fn learn(&mut self, features: &Features, looks: &DayLooks) {
+    pub(super) fn learn(&mut self, features: &Features, bins: &DayBins) {
         let mut squares = self.squares.map(|sum| self.kept * f64::from(sum));
         let mut products = self.products.map(|sum| self.kept * f64::from(sum));
-        for (slot, value) in looks.seen() {
+        for (slot, value) in bins.seen() {
             let x = &features[slot];
             let log_odds = self.sum(x);
             let p = probability(log_odds);
@@ -158,13 +158,13 @@ mod tests {
 
     #[test]
     fn an_odd_day_does_not_turn_what_weeks_have_taught() {
-        let looks = |is_odd: bool| {
+        let bins = |is_odd: bool| {
             let sample = |slot: i64| Sample {
                 utc_nanos: slot * 1_800_000_000_000,
                 offset_secs: 0,
                 value: f64::from(u8::from((18..34).contains(&slot) || is_odd)),
             };
-            DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
+            DayBins::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
         };
         // All members are nearly certain, and right on the usual day.
         let x = |sign: f64| {
@@ -176,8 +176,8 @@ mod tests {
         let features: [_; SLOTS] = std::array::from_fn(|slot| x(if (18..34).contains(&slot) { 1.0 } else { -1.0 }));
         for kept in [0.985, 0.94] {
             let mut stack = Stack::new(kept);
-            (0..60).for_each(|_| stack.learn(&features, &looks(false)));
-            stack.learn(&features, &looks(true));
+            (0..60).for_each(|_| stack.learn(&features, &bins(false)));
+            stack.learn(&features, &bins(true));
             let (open, shut) = (stack.predict(&x(1.0)), stack.predict(&x(-1.0)));
             assert!(open > 0.9 && shut < 0.5, "{kept}: {open} {shut}");
         }
@@ -186,13 +186,13 @@ mod tests {
     #[test]
     fn the_member_that_is_right_gets_the_weight() {
         let mut stack = Stack::new(0.985);
-        let looks = |day: i64| {
+        let bins = |day: i64| {
             let sample = |slot: i64| Sample {
                 utc_nanos: slot * 1_800_000_000_000,
                 offset_secs: 0,
                 value: f64::from(u8::from((slot / 7 + day) % 2 == 0)),
             };
-            DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
+            DayBins::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
         };
         let features = |day: i64| {
             let mut features = [[0.0; FEATURES]; SLOTS];
@@ -207,7 +207,7 @@ mod tests {
         };
         assert_eq!(stack.predict(&[0.0; FEATURES]), 0.5);
         for day in 0..60 {
-            stack.learn(&features(day), &looks(day));
+            stack.learn(&features(day), &bins(day));
         }
         assert!(stack.weights[2] > 0.5 && stack.weights[0] < 0.0, "{:?}", stack.weights);
         let p = stack.predict(&features(0)[0]);

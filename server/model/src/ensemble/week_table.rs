@@ -7,7 +7,7 @@
 //! cells of its level before (empirical Bayes). So a state without a daily rhythm keeps its mean, and one that changes
 //! sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
 
-use super::looks::DayLooks;
+use super::bins::DayBins;
 use crate::hours_seen::{HOURS, Hours, SATURDAY, kind_of_day};
 use crate::special::ln_rising;
 
@@ -44,7 +44,7 @@ pub(super) struct WeekTable {
     /// The sum of the values of the bins, by weekday from Monday and hour.
     pub(super) sums: [[f32; HOURS]; 7],
     /// The number of bins, by weekday from Monday and hour.
-    pub(super) looks: [[f32; HOURS]; 7],
+    pub(super) bins: [[f32; HOURS]; 7],
     /// The weights of the priors of each level.
     pub(super) weights: [[f32; PRIORS]; LEVELS],
 }
@@ -65,7 +65,7 @@ pub(super) struct DayLevels {
 impl WeekTable {
     pub(super) fn new(half_life_days: Option<f64>) -> WeekTable {
         let weights = [PRIOR_WEIGHTS.map(|weight| (AT_FIRST * weight) as f32); LEVELS];
-        WeekTable { half_life_days, sums: [[0.0; HOURS]; 7], looks: [[0.0; HOURS]; 7], weights }
+        WeekTable { half_life_days, sums: [[0.0; HOURS]; 7], bins: [[0.0; HOURS]; 7], weights }
     }
 
     fn of_days(table: &[[f32; HOURS]; 7], weekdays: std::ops::Range<usize>) -> Hours {
@@ -78,12 +78,12 @@ impl WeekTable {
 
     /// Sum and number of the bins of some weekdays by hour.
     fn sums_of(&self, weekdays: std::ops::Range<usize>) -> (Hours, Hours) {
-        (Self::of_days(&self.sums, weekdays.clone()), Self::of_days(&self.looks, weekdays))
+        (Self::of_days(&self.sums, weekdays.clone()), Self::of_days(&self.bins, weekdays))
     }
 
     /// Number of bins by hour of the kind of day: of weekdays, then of the weekend.
-    pub(super) fn looks_by_kind(&self) -> [Hours; 2] {
-        [Self::of_days(&self.looks, 0..SATURDAY), Self::of_days(&self.looks, SATURDAY..7)]
+    pub(super) fn bins_by_kind(&self) -> [Hours; 2] {
+        [Self::of_days(&self.bins, 0..SATURDAY), Self::of_days(&self.bins, SATURDAY..7)]
     }
 
     /// Sum of the bins by hour of the kind of day: of weekdays, then of the weekend.
@@ -124,27 +124,27 @@ impl WeekTable {
     fn fade(&mut self, days: f64) {
         let Some(half_life_days) = self.half_life_days else { return };
         let factor = libm::exp2(-days / half_life_days) as f32;
-        for number in self.sums.as_flattened_mut().iter_mut().chain(self.looks.as_flattened_mut()) {
+        for number in self.sums.as_flattened_mut().iter_mut().chain(self.bins.as_flattened_mut()) {
             *number *= factor;
         }
     }
 
     /// Learns a day. `levels`: those that were computed before the day.
-    pub(super) fn learn(&mut self, weekday: usize, looks: &DayLooks, levels: &DayLevels) {
-        for (weights, said) in self.weights.iter_mut().zip(&levels.responsibilities) {
-            for ((weight, said), first) in weights.iter_mut().zip(said).zip(PRIOR_WEIGHTS) {
-                *weight = (KEPT * f64::from(*weight) + LEARNED * said + RETURNED * first) as f32;
+    pub(super) fn learn(&mut self, weekday: usize, bins: &DayBins, levels: &DayLevels) {
+        for (weights, stored) in self.weights.iter_mut().zip(&levels.responsibilities) {
+            for ((weight, stored), first) in weights.iter_mut().zip(stored).zip(PRIOR_WEIGHTS) {
+                *weight = (KEPT * f64::from(*weight) + LEARNED * stored + RETURNED * first) as f32;
             }
         }
         self.fade(1.0);
-        self.add(weekday, looks, 1.0);
+        self.add(weekday, bins, 1.0);
     }
 
     /// Adds bins with a weight.
-    pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, weight: f64) {
-        for (slot, value) in looks.seen() {
+    pub(super) fn add(&mut self, weekday: usize, bins: &DayBins, weight: f64) {
+        for (slot, value) in bins.seen() {
             self.sums[weekday][slot / 2] += (weight * value) as f32;
-            self.looks[weekday][slot / 2] += weight as f32;
+            self.bins[weekday][slot / 2] += weight as f32;
         }
     }
 
@@ -156,7 +156,7 @@ impl WeekTable {
 
 /// The values of one level. Adds the responsibility of each prior for the bins of the level to `responsibilities`.
 fn level(
-    (sums, looks): (Hours, Hours),
+    (sums, bins): (Hours, Hours),
     coarser: &Hours,
     weights: &[f32; PRIORS],
     responsibilities: &mut [f64; PRIORS],
@@ -165,8 +165,8 @@ fn level(
     let logs = weights.map(|weight| libm::log(f64::from(weight) / total));
     let mut values = [0.0; HOURS];
     for (hour, value) in values.iter_mut().enumerate() {
-        let near = neighbours(&sums, &looks, hour, coarser[hour]);
-        let (sum, number) = (sums[hour], looks[hour]);
+        let near = neighbours(&sums, &bins, hour, coarser[hour]);
+        let (sum, number) = (sums[hour], bins[hour]);
         let zeros = (number - sum).max(0.0);
         let of_number = STRENGTHS.map(|strength| if number > 0.0 { ln_rising(strength, number) } else { 0.0 });
         let mut evidence = logs;
@@ -185,21 +185,21 @@ fn level(
         let highest = evidence.iter().copied().fold(f64::MIN, f64::max);
         let shares = evidence.map(|evidence| libm::exp(evidence - highest));
         let all: f64 = shares.iter().sum();
-        for ((share, mean), said) in shares.iter().zip(means).zip(responsibilities.iter_mut()) {
+        for ((share, mean), stored) in shares.iter().zip(means).zip(responsibilities.iter_mut()) {
             *value += share / all * mean;
-            *said += share / all * number.min(1.0);
+            *stored += share / all * number.min(1.0);
         }
     }
     values
 }
 
 /// The mean of the neighbouring hours, shrunk to the coarser level.
-fn neighbours(sums: &Hours, looks: &Hours, hour: usize, coarser: f64) -> f64 {
+fn neighbours(sums: &Hours, bins: &Hours, hour: usize, coarser: f64) -> f64 {
     let (mut sum, mut number, mut share) = (NEIGHBOUR_PRIOR * coarser, NEIGHBOUR_PRIOR, 1.0);
     for distance in 1..=NEIGHBOURS {
         let (after, before) = ((hour + distance) % HOURS, (hour + HOURS - distance) % HOURS);
         sum += share * (sums[after] + sums[before]);
-        number += share * (looks[after] + looks[before]);
+        number += share * (bins[after] + bins[before]);
         share *= 0.5;
     }
     sum / number

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 #[test]
-fn what_a_look_teaches_has_its_known_values() {
+fn what_a_bin_teaches_has_its_known_values() {
     // If only the mean of a habit is known and the habit is 0 or 1, one observation gives all information.
     assert!((learning_bits(0.5, 0.0) - 1.0).abs() < 1e-9);
     // Beta(1, 1): E[H] is half a nat.
@@ -16,8 +16,8 @@ fn what_a_look_teaches_has_its_known_values() {
     assert!((learning_bits(0.25, 4.0) - (entropy_bits(0.25) - kept / std::f64::consts::LN_2)).abs() < 1e-9);
     // With many bins, the value is 1 / (2ν) nats.
     assert!((learning_bits(0.3, 1e4) * 2e4 * std::f64::consts::LN_2 - 1.0).abs() < 1e-2);
-    for looks in [f64::INFINITY, 1e300, LOOKS_MAX] {
-        assert_eq!(learning_bits(0.5, looks), 0.0);
+    for bins in [f64::INFINITY, 1e300, BINS_MAX] {
+        assert_eq!(learning_bits(0.5, bins), 0.0);
     }
 }
 
@@ -27,20 +27,20 @@ fn the_measures_weigh_gain_and_learning() {
     assert_eq!(bits, [0.5, 0.25, 1.5]);
     assert_eq!(InformationMeasure::ALL.map(InformationMeasure::name), ["ral", "learn", "both"]);
     // An observation of a coin that was often thrown is worth less than that of a state with little data.
-    let worth = |v: f64, looks: f64| InformationMeasure::Both.bits(entropy_bits(v), learning_bits(v, looks));
+    let worth = |v: f64, bins: f64| InformationMeasure::Both.bits(entropy_bits(v), learning_bits(v, bins));
     assert!(worth(0.5, 200.0) < worth(0.2, 1.0));
 }
 
 proptest! {
     #[test]
-    fn what_is_learned_lies_between_nothing_and_the_entropy(value in proptest::num::f64::ANY, looks in proptest::num::f64::ANY) {
-        let (bits, entropy) = (learning_bits(value, looks), entropy_bits(value));
+    fn what_is_learned_lies_between_nothing_and_the_entropy(value in proptest::num::f64::ANY, bins in proptest::num::f64::ANY) {
+        let (bits, entropy) = (learning_bits(value, bins), entropy_bits(value));
         prop_assert!((0.0..=entropy).contains(&bits), "{bits} of {entropy}");
     }
 
     #[test]
-    fn less_is_learned_by_every_look(value in 0.0..=1.0_f64, looks in 0.0..1e3_f64, more in 0.0..100.0_f64) {
-        prop_assert!(learning_bits(value, looks + more) <= learning_bits(value, looks) + 1e-9);
-        prop_assert!((learning_bits(value, looks) - learning_bits(1.0 - value, looks)).abs() < 1e-9);
+    fn less_is_learned_by_every_bin(value in 0.0..=1.0_f64, bins in 0.0..1e3_f64, more in 0.0..100.0_f64) {
+        prop_assert!(learning_bits(value, bins + more) <= learning_bits(value, bins) + 1e-9);
+        prop_assert!((learning_bits(value, bins) - learning_bits(1.0 - value, bins)).abs() < 1e-9);
     }
 }

@@ -63,7 +63,7 @@ fn yesterday_outweighs_a_month_ago() {
 }
 
 #[test]
-fn a_place_that_is_seen_monthly_is_judged_by_all_its_looks() {
+fn a_place_that_is_seen_monthly_is_judged_by_all_its_bins() {
     let mut order_errors = OrderErrors::default();
     for month in 0..11 {
         order_errors.record(LocalDay(30 * month), &errors(&[(1, 5.0), (2, 8.0)]));

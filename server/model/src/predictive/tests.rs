@@ -7,9 +7,9 @@ use super::*;
 proptest! {
     #[test]
     fn intervals_contain_the_value_and_hold_their_level(
-        value in 0.0..=1.0_f64, looks in 0.0..500.0_f64, dependence in 0.0..1.0_f64, level in 0.05..0.999_f64,
+        value in 0.0..=1.0_f64, bins in 0.0..500.0_f64, dependence in 0.0..1.0_f64, level in 0.05..0.999_f64,
     ) {
-        let predictive = Predictive::new(value, looks, dependence);
+        let predictive = Predictive::new(value, bins, dependence);
         let HeldInterval { interval, mass } = predictive.interval(level);
         prop_assert!(interval.contains(predictive.value()), "{interval:?} {predictive:?}");
         prop_assert!(interval.lower >= 0.0 && interval.upper <= 1.0);
@@ -17,16 +17,16 @@ proptest! {
     }
 
     #[test]
-    fn more_looks_never_widen_what_is_not_known(value in 0.01..0.99_f64, dependence in 0.0..1.0_f64) {
-        let learning = |looks| Predictive::new(value, looks, dependence).learning_bits();
+    fn more_bins_never_widen_what_is_not_known(value in 0.01..0.99_f64, dependence in 0.0..1.0_f64) {
+        let learning = |bins| Predictive::new(value, bins, dependence).learning_bits();
         prop_assert!(learning(0.0) >= learning(1.0) && learning(1.0) >= learning(30.0));
-        let share = |looks| Predictive::new(value, looks, dependence).variance_share();
+        let share = |bins| Predictive::new(value, bins, dependence).variance_share();
         prop_assert!(share(0.0) >= share(1.0) && share(1.0) >= share(30.0));
     }
 
     #[test]
-    fn masses_are_a_distribution_with_the_value_as_mean(value in 0.001..0.999_f64, looks in 0.0..500.0_f64, dependence in 0.0..1.0_f64) {
-        let masses = Predictive::new(value, looks, dependence).masses();
+    fn masses_are_a_distribution_with_the_value_as_mean(value in 0.001..0.999_f64, bins in 0.0..500.0_f64, dependence in 0.0..1.0_f64) {
+        let masses = Predictive::new(value, bins, dependence).masses();
         let all: f64 = masses.iter().sum();
         let mean: f64 = masses.iter().enumerate().map(|(k, mass)| k as f64 / 12.0 * mass).sum();
         prop_assert!((all - 1.0).abs() < 1e-6 && (mean - value).abs() < 1e-6, "{all} {mean}");
@@ -34,9 +34,9 @@ proptest! {
 }
 
 #[test]
-fn nonsense_is_answered_by_what_is_known_without_looks() {
+fn nonsense_is_answered_by_what_is_known_without_bins() {
     let nothing = Predictive::new(f64::NAN, f64::NAN, f64::NAN);
-    assert_eq!((nothing.value(), nothing.looks(), nothing.entropy_bits()), (0.5, 0.0, 1.0));
+    assert_eq!((nothing.value(), nothing.bins(), nothing.entropy_bits()), (0.5, 0.0, 1.0));
     let sure = Predictive::new(1.0, 1e9, 0.5);
     assert!(sure.value() < 1.0 && sure.entropy_bits() > 0.0 && sure.learning_bits() >= 0.0);
 }

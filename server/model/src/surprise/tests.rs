@@ -44,8 +44,8 @@ fn a_door_left_open_is_one_run() {
     assert_eq!((run.first_nanos, run.last_nanos, run.observations), (0, 251 * 10 * MINUTE, 252 - 48));
     assert_eq!((run.value, run.probability, run.observed_probability), (1.0, 0.005, 0.005));
     // Only the first observation of each half-hour counts.
-    let looks = f64::from((252 - 48) / 3);
-    assert!((run.bits - looks * observed_bits(0.01)).abs() < 1e-9, "{}", run.bits);
+    let bins = f64::from((252 - 48) / 3);
+    assert!((run.bits - bins * observed_bits(0.01)).abs() < 1e-9, "{}", run.bits);
     assert_eq!((next.first_nanos, next.observations), (43 * HOUR, 1));
     assert!(surprises.is_open() && surprises.dropped() == 0);
 }

@@ -3,7 +3,7 @@
 //! Invariant: every number is read back bit by bit. The constructor of the ensemble checks the numbers.
 
 use tidemap_layout::ensemble as layout;
-use tidemap_model::{ClassParts, EnsembleParts, LocalDay, SaidParts};
+use tidemap_model::{ClassParts, EnsembleParts, LocalDay, StoredForecastParts};
 
 use super::Invalid;
 
@@ -35,13 +35,13 @@ pub(crate) fn encode(parts: &EnsembleParts) -> layout::Ensemble {
     let [all, recent] = &parts.tables;
     let [slow_stack, fast_stack] = &parts.stacks;
     let day = |day: Option<LocalDay>| day.map(|day| day.0);
-    let bin = |&(day, mean, looks): &(i32, f32, f32)| layout::Bin {
+    let five_days = |&(day, mean, bins): &(i32, f32, f32)| layout::FiveDays {
         day,
         mean_bits: mean.to_bits(),
-        looks_bits: looks.to_bits(),
+        bins_bits: bins.to_bits(),
     };
     layout::Ensemble {
-        looks_bits: bits(&parts.looks),
+        bins_bits: bits(&parts.bins),
         last_day: day(parts.last_day),
         all: singles(all),
         recent: singles(recent),
@@ -50,7 +50,7 @@ pub(crate) fn encode(parts: &EnsembleParts) -> layout::Ensemble {
         residuals: parts.residuals.iter().map(|residual| residual.cast_unsigned()).collect(),
         residuals_day: day(parts.residuals_day),
         rotations: singles(&parts.rotations),
-        bins: parts.bins.iter().map(bin).collect(),
+        five_days: parts.five_days.iter().map(five_days).collect(),
         season_first: day(parts.season_days[0]),
         season_last: day(parts.season_days[1]),
         gaps: parts.gaps.to_vec(),
@@ -61,28 +61,28 @@ pub(crate) fn encode(parts: &EnsembleParts) -> layout::Ensemble {
         classes: parts.classes.iter().map(encode_class).collect(),
         calibration: singles(&parts.calibration),
         smooth_bits: parts.smooth.as_ref().map_or_else(Vec::new, |(values, _)| bits(values)),
-        smooth_looks_bits: parts.smooth.as_ref().map_or(0, |(_, looks)| looks.to_bits()),
+        smooth_bins_bits: parts.smooth.as_ref().map_or(0, |(_, bins)| bins.to_bits()),
     }
 }
 
 fn encode_class(class: &ClassParts) -> layout::Class {
-    let numbers = [&class.losses[..], &class.explained, &[class.looks]].concat();
-    let said = |said: &SaidParts| layout::Said {
-        day: said.day.0,
-        mean_bits: said.mean.to_bits(),
-        weeks: said.weeks.clone(),
-        rhythm_bits: bits(&said.rhythm),
+    let numbers = [&class.losses[..], &class.explained, &[class.bins]].concat();
+    let stored = |stored: &StoredForecastParts| layout::StoredForecast {
+        day: stored.day.0,
+        mean_bits: stored.mean.to_bits(),
+        weeks: stored.weeks.clone(),
+        rhythm_bits: bits(&stored.rhythm),
     };
-    let [newer, older] = class.said.each_ref().map(|before| before.as_ref().map(said));
+    let [newer, older] = class.stored.each_ref().map(|before| before.as_ref().map(stored));
     layout::Class { numbers: singles(&numbers), newer, older }
 }
 
 pub(crate) fn decode(message: &layout::Ensemble) -> Result<EnsembleParts, Invalid> {
-    let bin = |bin: &layout::Bin| (bin.day, f32::from_bits(bin.mean_bits), f32::from_bits(bin.looks_bits));
+    let five_days = |five_days: &layout::FiveDays| (five_days.day, f32::from_bits(five_days.mean_bits), f32::from_bits(five_days.bins_bits));
     let classes: Vec<ClassParts> = message.classes.iter().map(decode_class).collect::<Result<_, Invalid>>()?;
     let smooth: Vec<f64> = message.smooth_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     Ok(EnsembleParts {
-        looks: read_bits(&message.looks_bits)?,
+        bins: read_bits(&message.bins_bits)?,
         last_day: message.last_day.map(LocalDay),
         tables: [read_singles(&message.all)?, read_singles(&message.recent)?],
         alike: read_singles(&message.alike)?,
@@ -90,7 +90,7 @@ pub(crate) fn decode(message: &layout::Ensemble) -> Result<EnsembleParts, Invali
         residuals: message.residuals.iter().map(|residual| residual.cast_signed()).collect(),
         residuals_day: message.residuals_day.map(LocalDay),
         rotations: read_singles(&message.rotations)?,
-        bins: message.bins.iter().map(bin).collect(),
+        five_days: message.five_days.iter().map(five_days).collect(),
         season_days: [message.season_first.map(LocalDay), message.season_last.map(LocalDay)],
         gaps: message.gaps.as_slice().try_into().map_err(|_| INVALID)?,
         rhythm: read_bits(&message.rhythm_bits)?,
@@ -98,24 +98,24 @@ pub(crate) fn decode(message: &layout::Ensemble) -> Result<EnsembleParts, Invali
         losses: read_array(&message.losses)?,
         classes: classes.try_into().map_err(|_| INVALID)?,
         calibration: read_array(&message.calibration)?,
-        smooth: (!smooth.is_empty()).then(|| (smooth, f64::from_bits(message.smooth_looks_bits))),
+        smooth: (!smooth.is_empty()).then(|| (smooth, f64::from_bits(message.smooth_bins_bits))),
     })
 }
 
 fn decode_class(message: &layout::Class) -> Result<ClassParts, Invalid> {
     let numbers = read_singles(&message.numbers)?;
     let (losses, rest) = numbers.split_first_chunk().ok_or(INVALID)?;
-    let &[by_pool, by_mean, looks] = rest else { return Err(INVALID) };
-    let said = |said: &layout::Said| {
-        Ok::<SaidParts, Invalid>(SaidParts {
-            day: LocalDay(said.day),
-            mean: f32::from_bits(said.mean_bits),
-            weeks: said.weeks.clone(),
-            rhythm: read_bits(&said.rhythm_bits)?,
+    let &[by_pool, by_mean, bins] = rest else { return Err(INVALID) };
+    let stored = |stored: &layout::StoredForecast| {
+        Ok::<StoredForecastParts, Invalid>(StoredForecastParts {
+            day: LocalDay(stored.day),
+            mean: f32::from_bits(stored.mean_bits),
+            weeks: stored.weeks.clone(),
+            rhythm: read_bits(&stored.rhythm_bits)?,
         })
     };
-    let said = [message.newer.as_ref().map(said).transpose()?, message.older.as_ref().map(said).transpose()?];
-    Ok(ClassParts { losses: *losses, explained: [by_pool, by_mean], looks, said })
+    let stored = [message.newer.as_ref().map(stored).transpose()?, message.older.as_ref().map(stored).transpose()?];
+    Ok(ClassParts { losses: *losses, explained: [by_pool, by_mean], bins, stored })
 }
 
 #[cfg(test)]

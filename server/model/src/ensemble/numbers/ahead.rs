@@ -7,7 +7,7 @@
 //! of the shorter class, with less weight for tables that forget. Invariant: the longer the lead time, the wider the
 //! prediction; a class that was not scored is as wide as the values of the state differ.
 
-use super::super::looks::{DayLooks, SLOTS};
+use super::super::bins::{DayBins, SLOTS};
 use super::SLOW;
 use super::members::{Pool, pooled};
 use super::spread::{Spread, Squares, hour_errors, shrunk};
@@ -123,8 +123,8 @@ impl FarStacks {
     ) -> AheadMembers {
         let weights = self.weights(class);
         let base = shapes.kind.map(|value| levels[0] + value);
-        let mut said = AheadMembers { values: [base, *lasting, base], features: [[0.0; FEATURES]; SLOTS] };
-        for (slot, x) in said.features.iter_mut().enumerate() {
+        let mut stored = AheadMembers { values: [base, *lasting, base], features: [[0.0; FEATURES]; SLOTS] };
+        for (slot, x) in stored.features.iter_mut().enumerate() {
             let recent = |table: usize| levels[table + 1] + shapes.recent[table][slot] - base[slot];
             let repeated = |days: usize| repeated.map_or(0.0, |left| left[days][slot]);
             *x = [
@@ -136,9 +136,9 @@ impl FarStacks {
                 repeated(0),
                 repeated(1),
             ];
-            said.values[MEMBERS - 1][slot] += x.iter().zip(&weights).map(|(x, weight)| x * weight).sum::<f64>();
+            stored.values[MEMBERS - 1][slot] += x.iter().zip(&weights).map(|(x, weight)| x * weight).sum::<f64>();
         }
-        said
+        stored
     }
 
     /// The means of the tables that a class stored at least one lead time before a day, and how many days before.
@@ -149,17 +149,17 @@ impl FarStacks {
 
     /// Scores the forecasts that the members of a class would have made at its lead time on the bins of a day, and
     /// learns from them.
-    pub(super) fn judge(&mut self, class: usize, looks: &DayLooks, said: &AheadMembers, variance: f64) {
-        let forecast = pooled(&said.values, self.pool_weights(class));
+    pub(super) fn judge(&mut self, class: usize, bins: &DayBins, stored: &AheadMembers, variance: f64) {
+        let forecast = pooled(&stored.values, self.pool_weights(class));
         let (towards, days) = (self.unjudged(class), AHEAD_DAYS[class] as f64);
         let known = &mut self.classes[class];
         known.errors = known.errors.map(|sum| SLOW * sum);
-        for (_, square) in hour_errors(looks, &forecast) {
+        for (_, square) in hour_errors(bins, &forecast) {
             known.errors[0] += square;
             known.errors[1] += 1.0;
         }
-        known.pool.learn(&said.values, looks);
-        let targets = looks.seen().map(|(slot, value)| (&said.features[slot], value - said.values[0][slot]));
+        known.pool.learn(&stored.values, bins);
+        let targets = bins.seen().map(|(slot, value)| (&stored.features[slot], value - stored.values[0][slot]));
         known.stack.learn_towards(targets, variance, towards, days);
     }
 
@@ -174,13 +174,13 @@ impl FarStacks {
     }
 
     /// The factor by which the variance of predictions at a lead time of `days` is larger than that of the next day, at
-    /// least 1. `of_looks`: the variance of all bins.
-    pub(super) fn growth(&self, days: i64, near: &Spread, of_looks: f64) -> f64 {
-        let of_near = near.of_all(of_looks);
+    /// least 1. `of_bins`: the variance of all bins.
+    pub(super) fn growth(&self, days: i64, near: &Spread, of_bins: f64) -> f64 {
+        let of_near = near.of_all(of_bins);
         let mut widest = of_near;
         for (class, known) in self.classes.iter().enumerate().take(class_of(days).map_or(0, |class| class + 1)) {
             let days = AHEAD_DAYS[class] as f64;
-            let found = shrunk(known.errors, of_looks.max(widest), FIRST_HOURS * days);
+            let found = shrunk(known.errors, of_bins.max(widest), FIRST_HOURS * days);
             let independent = known.errors[1] / (HOURS as f64 * days);
             widest = widest.max(found * (1.0 + 1.0 / independent.max(1.0)));
         }

@@ -5,7 +5,7 @@
 //! to 1.
 
 use super::super::forecast::civil_moment;
-use super::super::looks::{DayLooks, SLOT_NANOS, SLOTS};
+use super::super::bins::{DayBins, SLOT_NANOS, SLOTS};
 use super::super::pool::normalised;
 use super::table::RECENT;
 use super::{NumberEnsemble, SeenDay};
@@ -18,7 +18,7 @@ use crate::{
 /// The residuals of the days this many days back are features.
 const DAYS_AGO: [i32; 4] = [1, 2, 7, 14];
 /// Number of the last bins of the day before whose mean residual is a feature.
-const LAST_LOOKS: usize = 2;
+const LAST_BINS: usize = 2;
 /// This mean residual falls by so many factors of e in a day.
 const FALL: f64 = 2.0;
 /// Features of the stacks: weekday table, tables that forget, chosen model, residuals of the days before, and twice the
@@ -49,7 +49,7 @@ pub(super) struct DayMembers {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Pool<const N: usize> {
     pub(super) losses: [f64; N],
-    pub(super) looks: f64,
+    pub(super) bins: f64,
 }
 
 /// A value at the middle of each half-hour of a day.
@@ -113,8 +113,8 @@ impl NumberEnsemble {
         let [yesterday, ..] = &before;
         let end = yesterday.as_ref().map_or(0.0, |(seen, base)| {
             let residuals = (0..SLOTS).rev().filter_map(|slot| Some(seen.value(slot)? - base[slot]));
-            let (sum, looks) = residuals.take(LAST_LOOKS).fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
-            sum / f64::max(looks, 1.0)
+            let (sum, bins) = residuals.take(LAST_BINS).fold((0.0, 0.0), |(sum, n), value| (sum + value, n + 1.0));
+            sum / f64::max(bins, 1.0)
         });
         let (mut values, mut features) = ([[0.0; SLOTS]; MEMBERS], [[0.0; FEATURES]; SLOTS]);
         for slot in 0..SLOTS {
@@ -136,7 +136,7 @@ impl NumberEnsemble {
                 end * left,
             ];
             let [by_slow, by_fast] = self.stacks.each_ref().map(|stack| own + stack.predict(&features[slot]));
-            let said = [
+            let stored = [
                 levels[0],
                 levels[0] + shapes.hour[slot],
                 own,
@@ -149,7 +149,7 @@ impl NumberEnsemble {
                 by_slow,
                 by_fast,
             ];
-            values.iter_mut().zip(said).for_each(|(values, said)| values[slot] = said);
+            values.iter_mut().zip(stored).for_each(|(values, stored)| values[slot] = stored);
         }
         DayMembers { values, features, base }
     }
@@ -157,7 +157,7 @@ impl NumberEnsemble {
 
 impl<const N: usize> Pool<N> {
     pub(super) const fn new() -> Pool<N> {
-        Pool { losses: [0.0; N], looks: 0.0 }
+        Pool { losses: [0.0; N], bins: 0.0 }
     }
 
     /// The weights of the members, from those before the first bin. `dependence`: the evidence of a bin is divided by
@@ -168,17 +168,17 @@ impl<const N: usize> Pool<N> {
         for (log, loss) in logs.iter_mut().zip(&self.losses) {
             let more = loss - least;
             // Where one member was always right, it has all the weight.
-            *log -= if more > 0.0 { RATE / dependence * self.looks * more / least } else { 0.0 };
+            *log -= if more > 0.0 { RATE / dependence * self.bins * more / least } else { 0.0 };
         }
         normalised(logs)
     }
 
     /// Adds the losses of a day that was predicted before.
-    pub(super) fn learn(&mut self, values: &[[f64; SLOTS]; N], looks: &DayLooks) {
+    pub(super) fn learn(&mut self, values: &[[f64; SLOTS]; N], bins: &DayBins) {
         self.losses.iter_mut().for_each(|sum| *sum *= KEPT);
-        self.looks *= KEPT;
-        for (slot, value) in looks.seen() {
-            self.looks += 1.0;
+        self.bins *= KEPT;
+        for (slot, value) in bins.seen() {
+            self.bins += 1.0;
             for (sum, predicted) in self.losses.iter_mut().zip(values) {
                 *sum += square(predicted[slot] - value);
             }
@@ -203,10 +203,10 @@ mod tests {
     #[test]
     fn weights_follow_the_losses() {
         let sample = |slot: i64| Sample { utc_nanos: slot * SLOT_NANOS, offset_secs: 0, value: 5.0 };
-        let looks = DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>());
+        let bins = DayBins::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>());
         let learned = |errors: [f64; 3]| {
             let mut pool = Pool::new();
-            pool.learn(&errors.map(|error| [5.0 + error; SLOTS]), &looks);
+            pool.learn(&errors.map(|error| [5.0 + error; SLOTS]), &bins);
             pool
         };
         let priors = [1.0, 1.0, 2.0];

@@ -36,14 +36,14 @@ impl NumberEnsemble {
         use Sign::{Any, NotNegative};
         let mut lists: Vec<(Sign, &mut [f64])> = vec![
             (Any, std::slice::from_mut(&mut self.origin)),
-            (NotNegative, std::slice::from_mut(&mut self.scatter.looks)),
+            (NotNegative, std::slice::from_mut(&mut self.scatter.bins)),
             (Any, std::slice::from_mut(&mut self.scatter.mean)),
             (NotNegative, std::slice::from_mut(&mut self.scatter.squares)),
             (NotNegative, &mut self.pool.losses),
-            (NotNegative, std::slice::from_mut(&mut self.pool.looks)),
+            (NotNegative, std::slice::from_mut(&mut self.pool.bins)),
         ];
         for cells in self.tables.week.iter_mut().chain(self.tables.recent.as_flattened_mut()) {
-            lists.extend([(Any, &mut cells.sums[..]), (NotNegative, &mut cells.looks[..])]);
+            lists.extend([(Any, &mut cells.sums[..]), (NotNegative, &mut cells.bins[..])]);
         }
         for stack in &mut self.stacks {
             let squares = stack.squares.as_flattened_mut();
@@ -55,7 +55,7 @@ impl NumberEnsemble {
             let squares = stack.squares.as_flattened_mut();
             lists.extend([(Any, squares), (Any, &mut stack.products[..]), (Any, &mut stack.weights[..])]);
             lists.extend([(NotNegative, &mut class.pool.losses[..])]);
-            lists.push((NotNegative, std::slice::from_mut(&mut class.pool.looks)));
+            lists.push((NotNegative, std::slice::from_mut(&mut class.pool.bins)));
             lists.extend([(NotNegative, &mut class.errors[..]), (Any, class.kept.as_flattened_mut())]);
         }
         lists.extend(self.recall.iter_mut().map(|day| (Any, &mut day.values[..])));
@@ -98,7 +98,7 @@ impl NumberEnsemble {
             day.seen = seen;
         }
         if ensemble.last.is_none() && ensemble.recall != [UNSEEN; RECALL_DAYS] {
-            return Err(InvalidParts::OutOfRange { field: "looks of an ensemble without a day", found: 0.0 });
+            return Err(InvalidParts::OutOfRange { field: "bins of an ensemble without a day", found: 0.0 });
         }
         for (class, days) in ensemble.ahead.classes.iter_mut().zip(&parts.kept_days) {
             if days.len() > class.kept_days.len() || !days.is_sorted_by(|newer, older| newer > older) {

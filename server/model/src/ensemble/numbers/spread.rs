@@ -2,7 +2,7 @@
 //!
 //! Invariant: variances are finite and not negative.
 
-use super::super::looks::{DayLooks, SLOTS};
+use super::super::bins::{DayBins, SLOTS};
 use crate::{
     LocalDay,
     hours_seen::{HOURS, kind_of_day},
@@ -27,11 +27,11 @@ pub(super) struct Spread {
 
 /// The hours of a day that have bins, with the squared error of the mean of these.
 pub(super) fn hour_errors<'a>(
-    looks: &'a DayLooks,
+    bins: &'a DayBins,
     forecast: &'a [f64; SLOTS],
 ) -> impl Iterator<Item = (usize, f64)> + 'a {
     (0..HOURS).filter_map(|hour| {
-        let error = |slot: usize| Some(looks.value(slot)? - forecast[slot]);
+        let error = |slot: usize| Some(bins.value(slot)? - forecast[slot]);
         let (first, second) = (error(2 * hour), error(2 * hour + 1));
         let error = first.zip(second).map(|(one, two)| 0.5 * (one + two)).or(first).or(second)?;
         Some((hour, error * error))
@@ -51,24 +51,24 @@ impl Spread {
     }
 
     /// Learns from a day that was predicted before.
-    pub(super) fn learn(&mut self, day: LocalDay, looks: &DayLooks, forecast: &[f64; SLOTS]) {
+    pub(super) fn learn(&mut self, day: LocalDay, bins: &DayBins, forecast: &[f64; SLOTS]) {
         self.hours.as_flattened_mut().as_flattened_mut().iter_mut().for_each(|number| *number *= KEPT);
         let of_kind = &mut self.hours[kind_of_day(day.weekday())];
-        for (hour, square) in hour_errors(looks, forecast) {
+        for (hour, square) in hour_errors(bins, forecast) {
             of_kind[hour][0] += square;
             of_kind[hour][1] += 1.0;
         }
     }
 
-    /// The mean squared error over all hours. `of_looks`: the variance of all bins.
-    pub(super) fn of_all(&self, of_looks: f64) -> f64 {
+    /// The mean squared error over all hours. `of_bins`: the variance of all bins.
+    pub(super) fn of_all(&self, of_bins: f64) -> f64 {
         let sum = |place: usize| self.hours.as_flattened().iter().map(|squares| squares[place]).sum::<f64>();
-        shrunk([sum(0), sum(1)], of_looks, FIRST_HOURS)
+        shrunk([sum(0), sum(1)], of_bins, FIRST_HOURS)
     }
 
     /// The mean squared error at a half-hour of a day, widened because an estimate from few days is uncertain.
-    pub(super) fn variance(&self, day: LocalDay, slot: usize, of_looks: f64) -> f64 {
+    pub(super) fn variance(&self, day: LocalDay, slot: usize, of_bins: f64) -> f64 {
         let squares = self.hours[kind_of_day(day.weekday())][slot / 2];
-        shrunk(squares, self.of_all(of_looks), ALL_DAYS) * (1.0 + 1.0 / squares[1].max(1.0))
+        shrunk(squares, self.of_all(of_bins), ALL_DAYS) * (1.0 + 1.0 / squares[1].max(1.0))
     }
 }

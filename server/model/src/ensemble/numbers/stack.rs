@@ -7,7 +7,7 @@
 use nalgebra::{Cholesky, SMatrix, SVector};
 
 /// The weights before the first bin count as this many bins.
-const RIDGE_LOOKS: f64 = 12.0;
+const RIDGE_BINS: f64 = 12.0;
 
 /// A regression on `N` features.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,28 +34,28 @@ impl<const N: usize> LinearStack<N> {
 
     /// Learns the bins of a day from the features that were computed before the day. `variance`: the variance of all
     /// bins.
-    pub(super) fn learn<'a>(&mut self, looks: impl Iterator<Item = (&'a [f64; N], f64)>, variance: f64) {
-        self.learn_towards(looks, variance, self.at_first, 1.0);
+    pub(super) fn learn<'a>(&mut self, bins: impl Iterator<Item = (&'a [f64; N], f64)>, variance: f64) {
+        self.learn_towards(bins, variance, self.at_first, 1.0);
     }
 
     /// Does the same as [`LinearStack::learn`], but towards other weights, and with a ridge that is `dependence` times
     /// as strong, because bins depend on each other.
     pub(super) fn learn_towards<'a>(
         &mut self,
-        looks: impl Iterator<Item = (&'a [f64; N], f64)>,
+        bins: impl Iterator<Item = (&'a [f64; N], f64)>,
         variance: f64,
         towards: [f64; N],
         dependence: f64,
     ) {
         let sums = self.squares.as_flattened_mut().iter_mut().chain(&mut self.products);
         sums.for_each(|sum| *sum *= self.kept);
-        for (x, target) in looks {
+        for (x, target) in bins {
             for (row, &one) in x.iter().enumerate() {
                 self.products[row] += target * one;
                 self.squares[row].iter_mut().zip(x).for_each(|(sum, other)| *sum += one * other);
             }
         }
-        let ridge = RIDGE_LOOKS * variance * dependence;
+        let ridge = RIDGE_BINS * variance * dependence;
         let mut matrix = SMatrix::<f64, N, N>::from_fn(|row, column| self.squares[row][column]);
         let mut vector = SVector::<f64, N>::from(self.products);
         for row in 0..N {
@@ -79,14 +79,14 @@ mod tests {
     #[test]
     fn the_member_that_is_right_gets_the_weight() {
         let mut stack = LinearStack::new(0.985, [1.0, 0.0, 0.0]);
-        let features = |look: i32| {
-            let wave = |pace: f64| libm::sin(f64::from(look) * pace);
+        let features = |bin: i32| {
+            let wave = |pace: f64| libm::sin(f64::from(bin) * pace);
             [wave(0.7), wave(1.3), wave(2.9)]
         };
         assert_eq!(stack.predict(&[2.0, 1.0, 1.0]), 2.0);
         for day in 0..40 {
-            let looks: Vec<_> = (day * 48..(day + 1) * 48).map(features).collect();
-            stack.learn(looks.iter().map(|x| (x, 3.0 * x[1] - x[2])), 5.0);
+            let bins: Vec<_> = (day * 48..(day + 1) * 48).map(features).collect();
+            stack.learn(bins.iter().map(|x| (x, 3.0 * x[1] - x[2])), 5.0);
         }
         for (weight, expected) in stack.weights.into_iter().zip([0.0, 3.0, -1.0]) {
             assert!((weight - expected).abs() < 0.3, "{:?}", stack.weights);
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn looks_that_are_all_the_same_leave_the_weights() {
+    fn bins_that_are_all_the_same_leave_the_weights() {
         let mut stack = LinearStack::new(0.985, [0.5, 0.25]);
         stack.learn([(&[0.0, 0.0], 0.0)].into_iter(), 0.0);
         assert_eq!(stack.weights, [0.5, 0.25]);

@@ -4,7 +4,7 @@
 //! A table has levels, each shrunk towards the one before, which counts as three bins: the mean, the hour of the day,
 //! the hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
 
-use super::super::looks::{DayLooks, SLOTS};
+use super::super::bins::{DayBins, SLOTS};
 use crate::hours_seen::{HOURS, kind_of_day};
 
 /// The days after which a bin counts half in the tables that forget.
@@ -12,45 +12,45 @@ pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];
 /// Number of tables that forget.
 pub(super) const RECENT: usize = 3;
 /// The coarser level counts as this many bins.
-const COARSER_LOOKS: f64 = 3.0;
+const COARSER_BINS: f64 = 3.0;
 
 /// Sums and numbers of bins by hour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cells {
     pub(super) sums: [f64; HOURS],
-    pub(super) looks: [f64; HOURS],
+    pub(super) bins: [f64; HOURS],
 }
 
-const EMPTY: Cells = Cells { sums: [0.0; HOURS], looks: [0.0; HOURS] };
+const EMPTY: Cells = Cells { sums: [0.0; HOURS], bins: [0.0; HOURS] };
 
 impl Cells {
     fn and(mut self, other: &Cells) -> Cells {
         self.sums.iter_mut().zip(&other.sums).for_each(|(sum, more)| *sum += more);
-        self.looks.iter_mut().zip(&other.looks).for_each(|(looks, more)| *looks += more);
+        self.bins.iter_mut().zip(&other.bins).for_each(|(bins, more)| *bins += more);
         self
     }
 
     fn scale(&mut self, factor: f64) {
-        self.sums.iter_mut().chain(&mut self.looks).for_each(|number| *number *= factor);
+        self.sums.iter_mut().chain(&mut self.bins).for_each(|number| *number *= factor);
     }
 
-    fn add(&mut self, looks: &DayLooks, weight: f64) {
-        for (slot, value) in looks.seen() {
+    fn add(&mut self, bins: &DayBins, weight: f64) {
+        for (slot, value) in bins.seen() {
             self.sums[slot / 2] += weight * value;
-            self.looks[slot / 2] += weight;
+            self.bins[slot / 2] += weight;
         }
     }
 
     fn mean(&self) -> f64 {
-        let looks: f64 = self.looks.iter().sum();
-        if looks > 0.0 { self.sums.iter().sum::<f64>() / looks } else { 0.0 }
+        let bins: f64 = self.bins.iter().sum();
+        if bins > 0.0 { self.sums.iter().sum::<f64>() / bins } else { 0.0 }
     }
 
     /// The mean of each hour, shrunk towards a coarser level.
     fn level(&self, coarser: &[f64; HOURS]) -> [f64; HOURS] {
         let mut level = *coarser;
-        for (value, (sum, looks)) in level.iter_mut().zip(self.sums.iter().zip(&self.looks)) {
-            *value = (sum + COARSER_LOOKS * *value) / (looks + COARSER_LOOKS);
+        for (value, (sum, bins)) in level.iter_mut().zip(self.sums.iter().zip(&self.bins)) {
+            *value = (sum + COARSER_BINS * *value) / (bins + COARSER_BINS);
         }
         level
     }
@@ -139,13 +139,13 @@ impl Tables {
 
     /// Adds a day. `is_next`: the day is newer than all learned days, which fade; else it is `age_days` older than the
     /// newest.
-    pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, is_next: bool, age_days: f64) {
+    pub(super) fn add(&mut self, weekday: usize, bins: &DayBins, is_next: bool, age_days: f64) {
         if is_next {
             self.pass(1.0);
         }
-        self.week[weekday].add(looks, 1.0);
+        self.week[weekday].add(bins, 1.0);
         for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
-            kinds[kind_of_day(weekday)].add(looks, libm::exp2(-age_days / half_life_days));
+            kinds[kind_of_day(weekday)].add(bins, libm::exp2(-age_days / half_life_days));
         }
     }
 }

@@ -46,7 +46,7 @@ fn the_candidates_of_a_map_are_its_own() {
 fn readings_hold_a_period_that_their_span_and_a_gap_fill() {
     let monthly = (0..12).map(|month| month * 2_629_746 * NANOS_PER_SEC);
     let candidates = Candidates::new(&Periodicities::default(), monthly);
-    assert!(candidates.holds(period(CALENDAR_NANOS[1], 1)), "twelve monthly looks hold a year");
+    assert!(candidates.holds(period(CALENDAR_NANOS[1], 1)), "twelve monthly bins hold a year");
     assert!(!candidates.holds(period(WEEK_NANOS, 1)), "and no week");
     let hourly = Candidates::new(&Periodicities::default(), days(7));
     assert!(hourly.holds(period(WEEK_NANOS, 84)) && hourly.holds(period(WEEK_NANOS, 1)));

@@ -1,5 +1,5 @@
 //! Half-hour bins: the mean of the readings of a state in each half-hour of a local day. Identifiers call a bin a
-//! `look`.
+//! `bin`.
 //!
 //! All readings of one half-hour are one bin, however many they are: the mean of their values. So a robot that reads a
 //! door once a second gains no more certainty than one that reads it once a minute. Invariant: the bins of a day depend
@@ -21,27 +21,27 @@ pub(crate) fn slot_at(civil_nanos: i64) -> usize {
 
 /// The bins of one local day.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct DayLooks {
+pub(crate) struct DayBins {
     sums: [f64; SLOTS],
     readings: [u32; SLOTS],
 }
 
-impl Default for DayLooks {
-    fn default() -> DayLooks {
-        DayLooks { sums: [0.0; SLOTS], readings: [0; SLOTS] }
+impl Default for DayBins {
+    fn default() -> DayBins {
+        DayBins { sums: [0.0; SLOTS], readings: [0; SLOTS] }
     }
 }
 
-impl DayLooks {
+impl DayBins {
     /// The bins of the readings of one local day. Half-hours that occur twice when clocks are set back are one bin.
-    pub(crate) fn of_samples(samples: &[Sample]) -> DayLooks {
-        let mut looks = DayLooks::default();
+    pub(crate) fn of_samples(samples: &[Sample]) -> DayBins {
+        let mut bins = DayBins::default();
         for sample in samples {
             let slot = slot_at(sample.civil_nanos());
-            looks.sums[slot] += sample.value;
-            looks.readings[slot] = looks.readings[slot].saturating_add(1);
+            bins.sums[slot] += sample.value;
+            bins.readings[slot] = bins.readings[slot].saturating_add(1);
         }
-        looks
+        bins
     }
 
     /// The mean of the readings in a half-hour; `None` where there is none.
@@ -66,15 +66,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_thousand_readings_in_a_half_hour_are_one_look() {
+    fn a_thousand_readings_in_a_half_hour_are_one_bin() {
         let sample = |secs: i64, value| Sample { utc_nanos: secs * NANOS_PER_SEC, offset_secs: 0, value };
         let once = [sample(8 * 3600 + 60, 1.0), sample(20 * 3600, 0.0)];
         let often: Vec<Sample> =
             (0..1_000).map(|i| sample(8 * 3600 + i, 1.0)).chain([sample(20 * 3600, 0.0)]).collect();
-        let looks = DayLooks::of_samples(&often);
-        assert_eq!(looks.seen().collect::<Vec<_>>(), [(16, 1.0), (40, 0.0)]);
-        assert_eq!(looks.seen().collect::<Vec<_>>(), DayLooks::of_samples(&once).seen().collect::<Vec<_>>());
-        assert!(DayLooks::of_samples(&[]).is_empty() && !looks.is_empty());
+        let bins = DayBins::of_samples(&often);
+        assert_eq!(bins.seen().collect::<Vec<_>>(), [(16, 1.0), (40, 0.0)]);
+        assert_eq!(bins.seen().collect::<Vec<_>>(), DayBins::of_samples(&once).seen().collect::<Vec<_>>());
+        assert!(DayBins::of_samples(&[]).is_empty() && !bins.is_empty());
     }
 
     #[test]
