@@ -110,7 +110,8 @@ pub struct DayQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: ModelSelector,
-    /// How the worth of a look is measured; for viewpoints, tours and `exactly_one` by RA-L's gain, the default, alone.
+    /// How the worth of an observation is measured; for viewpoints, tours and `exactly_one` only RA-L's gain, the
+    /// default.
     pub information: InformationMeasure,
     /// Weight of exploration, in [0, 1]; the rest is the weight of the task.
     pub exploration_weight: Option<f64>,
@@ -133,7 +134,7 @@ pub struct DayQuery {
 pub struct DayTour {
     /// Maximum number of goals of a tour, 1 to 100.
     pub goals: u32,
-    /// Where the robot starts and returns to; the charger of the map by default.
+    /// The start and end of the robot's tour; the charger of the map by default.
     pub start_m: Option<[f64; 2]>,
 }
 
@@ -167,9 +168,9 @@ pub struct SlotQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: Option<ModelSelector>,
-    /// As in [`DayQuery::information`].
+    /// The measure of information; see [`DayQuery::information`].
     pub information: InformationMeasure,
-    /// As in [`DayQuery::exactly_one`].
+    /// Whether exactly one location holds the object; see [`DayQuery::exactly_one`].
     pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
@@ -183,9 +184,9 @@ pub struct SlotQuery {
 /// The location for a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotChoice {
-    /// The location; `None`: the allowance says to rest.
+    /// The location; `None`: the robot rests because of its allowance.
     pub location: Option<String>,
-    /// Worth of a look there, bits.
+    /// Worth of an observation there, bits.
     pub information_bits: f64,
     /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
     pub surprise_bits: Option<f64>,
@@ -194,7 +195,7 @@ pub struct SlotChoice {
 /// A square of 0.5 m that robots tried to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReachedPlace {
-    /// Its centre: x, y in metres.
+    /// The centre: x, y in metres.
     pub at_m: [f64; 2],
     /// Share of the last five attempts that succeeded.
     pub reachability: f64,
@@ -207,11 +208,11 @@ pub struct ReachedPlace {
 /// A slot of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DaySlot {
-    /// Its start, nanoseconds UTC.
+    /// The start, nanoseconds UTC.
     pub start_nanos: i64,
     /// The location to observe; `None`: rest.
     pub location: Option<String>,
-    /// Worth of a look there, bits.
+    /// Worth of an observation there, bits.
     pub information_bits: f64,
 }
 

@@ -45,7 +45,7 @@ use crate::{
 pub struct ModelDescription {
     /// Name of the state.
     pub state: String,
-    /// Which values the state has.
+    /// The kind of the values of the state.
     pub kind: StateKind,
     /// Mean of the learned values; if there are none: 0.5 for a probability, else 0.
     pub mean: f64,

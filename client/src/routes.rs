@@ -93,7 +93,7 @@ pub struct SearchQuery {
 /// A planned search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Search {
-    /// The places to look at, by the names of their nodes, in this order.
+    /// The places to search, by the names of their nodes, in this order.
     pub steps: Vec<SearchStep<String>>,
     /// All nodes of the walk with the arrival in seconds; the start first.
     pub walk: Vec<(String, f64)>,

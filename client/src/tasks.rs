@@ -1,6 +1,6 @@
-//! Tasks: what is to be done, the kept plans of days, and reports of what was done.
+//! Tasks, the kept plans of days, and reports of done tasks.
 //!
-//! Invariant: what is changed is durable when a method returns; a reply with invalid names is an error.
+//! Invariant: a change is durable when a method returns; a reply with invalid names is an error.
 
 pub use tidemap_map::{
     name::TaskName,
@@ -26,7 +26,7 @@ use crate::{
 /// How the tasks of a day are planned.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TaskQuery {
-    /// Name of the node where the robot is at first; `None`: that of the charger.
+    /// Name of the node where the robot is at first; `None`: the node of the charger.
     pub start_node: Option<String>,
     /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
     pub ready_nanos: Option<i64>,
@@ -43,7 +43,7 @@ pub struct DayPlan {
     pub tasks: PlannedTasks,
 }
 
-/// What became of a report.
+/// The receipt of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskReceipt {
     /// All reports of the sequence up to this number are durable, or refused.
@@ -113,7 +113,7 @@ impl Client {
         Ok(DayPlan { slots: day_slots(answer), tasks })
     }
 
-    /// The kept plan of a day (`YYYY-MM-DD`; by default that of the time), and the index of the step at a time, by
+    /// The kept plan of a day (`YYYY-MM-DD`; by default the day of the time), and the index of the step at a time, by
     /// default now.
     ///
     /// # Errors

@@ -4,7 +4,7 @@
 //! counts as open only when the daemon has sent its first bytes: either HTTP/2 begins, or an alert has the reason why
 //! not, which HTTP/2 would lose.
 //!
-//! Invariant: what was read here is read again by HTTP/2, whole and in order.
+//! Invariant: HTTP/2 reads the bytes that were read here again, whole and in order.
 
 use std::{
     fmt,
@@ -128,7 +128,7 @@ impl Service<Uri> for SecureConnector {
     }
 }
 
-/// A connection, with the bytes that were read of it.
+/// A connection, with the bytes that were already read from it.
 #[derive(Debug)]
 pub(super) struct SecureStream {
     first: Cursor<Vec<u8>>,

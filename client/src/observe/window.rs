@@ -1,7 +1,7 @@
 //! The observations, scans and reports that a producer keeps until they are durable.
 //!
 //! Invariant: pure. Sequence numbers have no gaps, over items of all kinds together; each item is kept from its push
-//! until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
+//! until it is acknowledged. After a reconnection, sending continues right after the last item that the daemon has:
 //! nothing is left out, and an item that is sent twice has the same number. The tiles of the last acknowledged scan are
 //! known, so that the differences after it can be sent again.
 
@@ -71,7 +71,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Begins after what the daemon has at the first connection.
+    /// Begins after the items that the daemon has at the first connection.
     #[must_use]
     pub fn new(capacity: usize, durable: u64, content_crc: u32) -> Self {
         Self {
@@ -120,7 +120,7 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 1.0, position: None })))
     }
 
-    /// Whether a name is that of a label.
+    /// Whether a name is the name of a label.
     #[must_use]
     pub fn is_label(&self, name: &str) -> bool {
         self.indices[LABELS_AT].contains_key(name)

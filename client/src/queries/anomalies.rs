@@ -30,7 +30,7 @@ impl Default for Judgement {
     }
 }
 
-/// What a watch is of.
+/// The states or cells that a watch covers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WatchedPlaces {
     /// Names of states, and of cells (`cell/X/Y/Z`).
@@ -135,7 +135,8 @@ impl Anomalies {
         Ok(self.next_labelled().await?.map(|(found, _)| found))
     }
 
-    /// As [`Anomalies::next`], with the observed label of each anomaly of a categorical state; no labels for others.
+    /// Does the same as [`Anomalies::next`], and also returns the observed label of each anomaly of a categorical
+    /// state; no labels for other kinds.
     ///
     /// # Errors
     /// [`Error`]

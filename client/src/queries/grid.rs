@@ -84,7 +84,7 @@ impl Client {
     /// The header of the reply, without the tiles.
     ///
     /// # Errors
-    /// As [`Client::predict_grid`].
+    /// The errors of [`Client::predict_grid`].
     pub async fn estimate_grid(&self, query: &GridQuery) -> Result<GridHeader, Error> {
         self.asked(query, true).await.map(|answer| answer.header)
     }

@@ -43,7 +43,7 @@ pub struct PredictionRun {
     pub lower: Vec<f64>,
     /// Upper end of the credible interval, one per time, or empty.
     pub upper: Vec<f64>,
-    /// The probability that each interval holds, at least the level that was asked for; one per time, or empty.
+    /// The probability that each interval holds, at least the requested level; one per time, or empty.
     pub masses: Vec<f64>,
     /// Entropy of each prediction.
     pub entropies_bits: Vec<f64>,

@@ -1,4 +1,4 @@
-//! What was unusual before it was learned.
+//! Unusual observations, as judged before they were learned.
 //!
 //! Invariant: runs come with the most surprising first, each with the name of its state.
 
@@ -25,7 +25,7 @@ pub struct SurpriseQuery {
     pub top: u32,
 }
 
-/// What was unusual.
+/// The unusual observations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surprising {
     /// Names of states with their runs, the most surprising first.
@@ -35,11 +35,12 @@ pub struct Surprising {
 }
 
 impl Client {
-    /// Lists what was unusual of states before updates learned it, and what is unusual of what none has learned yet.
+    /// Lists the observations of states that were unusual before updates learned them, and the unusual observations
+    /// that no update has learned yet.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or a state does not exist, `INVALID_ARGUMENT` if the confidence is
-    /// below 0.9 or a name is that of a cell.
+    /// below 0.9 or a name is the name of a cell.
     pub async fn surprises(&self, map: &str, query: SurpriseQuery) -> Result<Surprising, Error> {
         let SurpriseQuery { states, from_nanos, to_nanos, confidence, top } = query;
         let request = v1::ListSurprisesRequest {

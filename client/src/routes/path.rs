@@ -117,7 +117,7 @@ pub struct NamedRouteStep {
 /// A route from one node to another, by the names of its edges, in times UTC.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedRoute {
-    /// Its edges, in order.
+    /// The edges of the route, in order.
     pub steps: Vec<NamedRouteStep>,
     /// Departure.
     pub departure_nanos: i64,
