@@ -1,6 +1,6 @@
 //! `tidemap-bench lag`: how far a daemon of a cluster is behind the acknowledgements of another one.
 //!
-//! Invariant: a reply counts only if it shows what was acknowledged before: its read token says so.
+//! Invariant: a reply counts only if it shows the data that was acknowledged before, as its read token states.
 
 use std::time::{Duration, Instant};
 
@@ -62,7 +62,7 @@ pub(super) async fn run(client: &Client, reader: &Client, map: &str, args: &LagA
         let began = Instant::now();
         read(reader, map).await?;
         behind.record(began.elapsed())?;
-        // What the reading takes by itself.
+        // The time that the reading takes by itself.
         let began = Instant::now();
         read(reader, map).await?;
         again.record(began.elapsed())?;

@@ -61,7 +61,7 @@ struct Question {
 }
 
 impl Question {
-    /// Asks; whether the daemon answered. It may refuse for its load alone.
+    /// Sends one request; returns whether the daemon answered. A daemon may refuse for its load alone.
     async fn ask(&self, client: &Client) -> anyhow::Result<bool> {
         let (states, times) = (self.states.to_vec(), self.times.to_vec());
         let mut predictions = client.predict(&self.map, states, times, ModelSelector::default()).with_intervals(LEVEL);

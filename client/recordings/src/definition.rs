@@ -96,9 +96,9 @@ pub enum FieldType {
 pub enum Count {
     /// One.
     One,
-    /// So many, whatever the message.
+    /// This number, whatever the message contains.
     Fixed(usize),
-    /// As many as the message says.
+    /// The number that the message states.
     Any,
 }
 
@@ -118,14 +118,14 @@ pub struct FieldDefinition {
 pub struct Constant {
     /// Name of the constant.
     pub name: String,
-    /// Its value as the definition writes it.
+    /// The value as the definition writes it.
     pub value: String,
 }
 
 /// A type of messages.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Definition {
-    /// Its fields, in the order in which a message has them.
+    /// The fields, in the order in which a message has them.
     pub fields: Vec<FieldDefinition>,
     /// Constants of the type.
     pub constants: Vec<Constant>,
@@ -147,7 +147,7 @@ pub enum DefinitionError {
     TooLong {
         /// The type.
         type_name: String,
-        /// What it has too many of.
+        /// The items of which there are too many.
         what: &'static str,
         /// The limit.
         max: usize,

@@ -44,7 +44,7 @@ pub enum FrameError {
     NotConnected {
         /// The frame.
         frame: String,
-        /// The frame that its pose was asked for in.
+        /// The frame in which the pose was requested.
         within: String,
     },
     /// The time lies before the first sample of a link.
@@ -159,7 +159,7 @@ impl Frames {
         }
         let sample = PoseSample { time_nanos, pose };
         let is_conflict = match self.links.entry(child.clone()).or_insert_with(|| Link::Moving(Vec::new())) {
-            // What was said to hold for all time is not taken back by one message.
+            // A transform that was declared to hold for all time is not replaced because of one message.
             Link::Static { parent: before, pose: old } => *before != parent || !is_near(old, &pose),
             Link::Moving(tracks) => {
                 self.samples += 1;

@@ -1,6 +1,6 @@
 //! Messages of the usual types of ROS: scans, clouds, grids, transforms, poses.
 //!
-//! Invariant: lengths within a message are checked against each other; what is given out can be read without a check.
+//! Invariant: lengths within a message are checked against each other; the returned data can be read without a check.
 
 mod cloud;
 mod grid;
@@ -80,7 +80,7 @@ impl<'m, 'a> Fields<'m, 'a> {
     }
 }
 
-/// The time for which a message holds: that of its header, or of another first field that is a time. Nanoseconds since
+/// The time for which a message holds: the time of its header, or another first field that is a time. Nanoseconds since
 /// 1970; `None` if it has none.
 pub fn stamp(message: &Value<'_>) -> Option<i64> {
     ["header", "door_time", "stamp"].iter().find_map(|name| {
@@ -181,7 +181,7 @@ fn transform(message: &Value<'_>) -> TransformRead {
     Ok(Transform { parent, child, time_nanos, pose })
 }
 
-/// Where a pose is found in a message of one of the usual types with one pose.
+/// The path to the pose in a message of one of the usual types with one pose.
 pub fn pose_path(type_name: &str) -> Option<&'static [&'static str]> {
     Some(match type_name {
         "geometry_msgs/Pose" => &[],

@@ -20,7 +20,7 @@ use crate::{
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
 
-/// What an MCAP file begins and ends with.
+/// The first and last bytes of an MCAP file.
 pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 const OP_FOOTER: u8 = 0x02;

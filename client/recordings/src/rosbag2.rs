@@ -183,7 +183,7 @@ fn integer(row: &TableRow, table: &Table, column: usize, table_name: &str) -> Re
     }
 }
 
-/// Text; empty for NULL and for what is no text.
+/// Text; empty for NULL and for a value that is not text.
 fn text(row: &TableRow, column: usize) -> Result<String, RecordingError> {
     Ok(match row.value(column)? {
         Some(Value::Text(text) | Value::Bytes(text)) => String::from_utf8_lossy(text).into_owned(),

@@ -17,7 +17,7 @@ use crate::{
 /// The rooms.
 const ROOMS: [&str; 8] = ["hall", "kitchen", "living_room", "bedroom", "bathroom", "office", "garage", "garden"];
 
-/// What is sensed in each room.
+/// The thing that is sensed in a room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Thing {
     Door,
@@ -40,7 +40,7 @@ pub struct SensorChange {
     pub local: String,
     /// Index of the sensor.
     pub sensor: usize,
-    /// Whether it is on, or open, from then on.
+    /// Whether the sensor is on, or open, from then on.
     pub is_on: bool,
 }
 
@@ -74,7 +74,7 @@ impl Home {
         ROOMS.into_iter().flat_map(|room| THINGS.map(|thing| (room, thing))).map(name).collect()
     }
 
-    /// The changes of all sensors on some days, in order of time; at first each sensor says what it is.
+    /// The changes of all sensors on some days, in order of time; at first each sensor reports its value.
     #[must_use]
     pub fn changes(&self, first: Date, days: i32) -> Vec<SensorChange> {
         let mut changes = Vec::new();

@@ -117,7 +117,7 @@ impl StreamOffice {
         walks
     }
 
-    /// What cameras detect on a day: each person once a second, ascending by time.
+    /// The detections of the cameras on a day: each person once a second, ascending by time.
     pub fn detections(&self, day: i64) -> Vec<DetectedWalk> {
         let key =
             [2, day as u64].into_iter().fold(self.seed, |key, part| SmallRng::seed_from_u64(key ^ part).next_u64());

@@ -1,6 +1,6 @@
-//! Results on stdout, in the format that the user asked for.
+//! Results on stdout, in the format that the user chose.
 //!
-//! Invariant: nothing else writes to stdout. What is not printable, such as an ESC in a name of a recording, does not
+//! Invariant: nothing else writes to stdout. Unprintable characters, such as an ESC in a name of a recording, do not
 //! reach a terminal; files and other programs get CSV as it is.
 
 use std::{

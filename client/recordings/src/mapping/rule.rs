@@ -40,7 +40,7 @@ impl FieldPlace {
         Ok(Self { topic: topic.to_owned(), each, field })
     }
 
-    /// The values in which the rule looks: the message itself, or the elements of its array.
+    /// The values in which the rule finds its fields: the message itself, or the elements of its array.
     pub(crate) fn elements<'a>(&self, message: &Value<'a>) -> Vec<Value<'a>> {
         match &self.each {
             None => vec![message.clone()],
@@ -77,7 +77,7 @@ impl Template {
     /// Reads a name.
     ///
     /// # Errors
-    /// A brace is not closed, or what is in it is no field.
+    /// A brace is not closed, or its content is not a field.
     pub fn read(text: &str) -> Result<Self, String> {
         let mut parts = Vec::new();
         let mut rest = text;
@@ -151,16 +151,16 @@ pub enum ValueKind {
     Categorical,
 }
 
-/// What the messages of a topic are.
+/// The meaning of the messages of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Reports {
-    /// Looks at the state.
+    /// Readings of the state at the times of the messages.
     #[default]
     Samples,
     /// Sent when the state changes: it holds until the next one.
     Changes,
-    /// Each says that something happened.
+    /// Each message means that something happened.
     Events,
 }
 
@@ -171,7 +171,7 @@ pub enum ValueRule {
     Number,
     /// The field as a word, by a table; other words are left out.
     Table(BTreeMap<String, String>),
-    /// One value, whatever the message says.
+    /// One value, whatever the message contains.
     Same(f64),
 }
 
@@ -184,7 +184,7 @@ pub struct StateRule {
     pub state: Template,
     /// Kind of the state.
     pub kind: ValueKind,
-    /// What the messages are.
+    /// The meaning of the messages.
     pub reports: Reports,
     /// How a value is made.
     pub value: ValueRule,
@@ -340,7 +340,7 @@ pub struct TraversalRule {
     pub to: Path,
     /// Field with the duration in seconds; the message was sent at the end.
     pub seconds: Path,
-    /// Field that says how it ended.
+    /// Field that contains how it ended.
     pub status: Path,
     /// Words of the status, in small letters, that mean success.
     pub success: Vec<String>,

@@ -118,7 +118,7 @@ impl<'a> MessageCursor<'a> {
     }
 }
 
-/// The number that bytes are; 0 if their count is not that of the type.
+/// The number that the bytes encode; 0 if their count is not the size of the type.
 pub(super) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
     macro_rules! read {
         ($type:ty) => {{

@@ -18,9 +18,9 @@ pub enum PathError {
     /// There is no such field.
     #[error("{type_name} has no field {name:?}; it has {fields}")]
     Missing {
-        /// The type that was looked in.
+        /// The type in which the name was searched.
         type_name: String,
-        /// The name that was looked for.
+        /// The name that was searched.
         name: String,
         /// The fields of the type.
         fields: String,

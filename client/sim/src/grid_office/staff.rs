@@ -168,7 +168,7 @@ mod tests {
                 }
             }
         }
-        // Of 800 working days.
+        // The number of evenings with a cleaner, of 800 working days.
         assert!((600..800).contains(&came), "{came}");
     }
 }

@@ -5,7 +5,7 @@
 pub(crate) enum ThingKind {
     /// A person at a desk, and the chair.
     Workplace,
-    /// What a person brings along and takes home.
+    /// Things that a person brings along and takes home.
     Belongings,
     /// A door leaf.
     Door,
