@@ -46,7 +46,7 @@ pub fn main() -> ExitCode {
     code
 }
 
-/// Answers a command line that is wrong or asks for help.
+/// Answers a command line that is wrong or requests help.
 fn not_parsed(error: &clap::Error) -> ExitCode {
     let arguments: Vec<String> = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect();
     if !error.use_stderr() || !commands::ask_for_json(&arguments) {

@@ -62,7 +62,7 @@ pub fn write_compared(panels: &[(String, MapPicture)], title: &str) -> Result<St
     Ok(text)
 }
 
-/// How many cells a character stands for.
+/// The blocks of cells that one character shows.
 struct Blocks {
     across: usize,
     down: usize,
@@ -115,7 +115,7 @@ impl Blocks {
     }
 }
 
-/// What the characters of a picture mean.
+/// The legend of the characters of a picture.
 fn values_legend(picture: &MapPicture) -> String {
     let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
     format!("  {}: 0 {} 1; blank: not observed\n", picture.value.text(), shades.join(" "))

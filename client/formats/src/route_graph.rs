@@ -21,7 +21,7 @@ use tidemap_map::{
 };
 use tidemap_model::time::format_rfc3339;
 
-/// What passing an edge costs at the time of the file.
+/// The cost of passing an edge at the time of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeCost {
     /// Probability that an attempt succeeds.
@@ -32,7 +32,7 @@ pub struct EdgeCost {
     pub expected_secs: f64,
 }
 
-/// What a file says about itself.
+/// The data of a file about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GraphHead<'a> {
     /// Name of the map.
@@ -43,7 +43,7 @@ pub struct GraphHead<'a> {
     pub time_nanos: i64,
 }
 
-/// A file, and what is in it.
+/// A file, and the counts of its contents.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteGraph {
     /// The text of the file.

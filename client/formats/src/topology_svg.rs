@@ -63,7 +63,7 @@ pub struct PictureEdge {
     pub length: f64,
     /// Probability of a successful traversal.
     pub success: Option<f64>,
-    /// Whether it is part of the route or search.
+    /// Whether the edge is part of the route or search.
     pub is_on_path: bool,
 }
 

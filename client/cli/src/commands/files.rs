@@ -16,7 +16,7 @@ use tempfile::NamedTempFile;
 use super::UsageError;
 use crate::output;
 
-/// What a new file may be used for, before the user's own mask is applied.
+/// The permissions of a new file, before the user's own mask is applied.
 const MODE: u32 = 0o666;
 
 /// Reads a text file, or stdin if the path is `-`.

@@ -65,7 +65,7 @@ pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Re
 /// The labels of a categorical state; none for others.
 async fn labels_of(session: &Session, map: &str, state: &str) -> anyhow::Result<Vec<String>> {
     let mut token = Some(String::new());
-    // What has a slash is no categorical state.
+    // A name with a slash is not a categorical state.
     while let Some(page) = token.filter(|_| !state.contains('/')) {
         let (states, next) = session.client.states(map, &page).await?;
         if let Some(found) = states.into_iter().find(|known| known.name == state) {

@@ -72,7 +72,7 @@ const COLUMNS: [&str; 12] = [
     "mass",
 ];
 
-/// What a table shows only where it is asked for, and less of it where a model or an order is.
+/// Columns that a table shows only if they are requested, and fewer of them if a model or an order is given.
 const DETAILS: &[&str] = &["entropy_bits", "order", "model", "mass"];
 const DETAILS_BESIDE_MODEL: &[&str] = &["entropy_bits", "mass"];
 

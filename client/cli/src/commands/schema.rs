@@ -1,4 +1,4 @@
-//! `tidemap schema`: the JSON schema of what commands print with --output json.
+//! `tidemap schema`: the JSON schema of the output of commands with --output json.
 //!
 //! Invariant: `schema/output.json` has a definition for each command, by its words; `tests/integration/json_output.rs`
 //! validates what the commands print against it.

@@ -56,7 +56,7 @@ struct Field<'a> {
 pub(super) struct PointLayout {
     /// Length of a point in the file, in bytes.
     pub bytes: usize,
-    /// Its number of values.
+    /// The number of values of the field.
     pub values: usize,
     /// The types of x, y and z.
     pub scalar: [Scalar; 3],

@@ -1,6 +1,6 @@
 //! Numbers and durations as people read them.
 //!
-//! Invariant: a number has three decimals or three digits, but never so few that it looks like 0 or 1 and is not. A
+//! Invariant: a number has three decimals or three digits, but never so few that it appears as 0 or 1 and is not. A
 //! number that needs more than six decimals has an exponent near 0, and an inequality near 1.
 
 /// Numbers of less than this have an exponent.

@@ -1,7 +1,7 @@
 //! Times in tables, as people read them.
 //!
-//! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
-//! which zone they are. A time that the clocks show twice has its offset from UTC.
+//! Invariant: a column shows as much of the clock as its times need, with one precision for all times, and its header
+//! names their zone. A time that the clocks show twice has its offset from UTC.
 
 use tidemap_model::{
     Zone,
@@ -28,7 +28,7 @@ pub enum TimeStyle {
     Clock(Zone),
 }
 
-/// How much of the clock is shown.
+/// The part of the clock that is shown.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Precision {
     Minutes,
@@ -94,7 +94,7 @@ impl TimeStyle {
         }
     }
 
-    /// A day and a time, as a heading says them.
+    /// A day and a time, in the form of a heading.
     #[must_use]
     pub fn heading(&self, nanos: i64) -> String {
         match self {

@@ -1,4 +1,4 @@
-//! What the colours and numbers of a drawing mean, and its scale.
+//! The legend of a drawing: the meanings of its colours and numbers, and its scale.
 //!
 //! Invariant: the legend stands below the drawing and explains only what is drawn.
 

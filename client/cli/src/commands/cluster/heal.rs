@@ -87,8 +87,8 @@ async fn fork_now(client: &Client, map: &str, fork: &str) -> anyhow::Result<Opti
     Ok(replica.and_then(|replica| replica.forks.into_iter().find(|found| found.name == fork)))
 }
 
-/// Sends what the map lacks of a fork, and says what cannot be sent. Gives the fork as it stands then; `None`: its
-/// member has removed it, because the map has everything.
+/// Sends the observations of a fork that the map lacks, and reports those that cannot be sent. Returns the fork as it
+/// is then; `None`: its member has removed it, because the map has everything.
 async fn take_in_fork(
     session: &Session,
     (member, client): (&str, &Client),

@@ -18,35 +18,35 @@ use tidemap_proto::v1::{self, forked_observation::Content};
 
 /// How long the map may be without a writer meanwhile.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// What became of a fork.
+/// The result of taking in a fork.
 #[derive(Debug, Default)]
 pub(super) struct TakenIn {
     /// Observations that the map has now, and did not have before.
     pub taken: u64,
-    /// Why not all of them: sentences for people.
+    /// The reasons why observations were not taken: sentences for people.
     pub reasons: BTreeSet<String>,
 }
 
 /// A producer of the fork.
 enum Sending {
-    /// Nothing of it has come yet.
+    /// No observation of the producer has come yet.
     Waits,
     Open(Box<Resent>),
-    /// Nothing more of it is sent.
+    /// No further observation of the producer is sent.
     Ended,
 }
 
 /// A stream in the name of a producer.
 struct Resent {
     producer: Producer,
-    /// That of the fork, which the stream has presented.
+    /// The incarnation of the fork, which the stream has presented.
     incarnation: u64,
     /// Numbers of observations that the map refused the first time, too.
     refused: BTreeSet<u64>,
     sent: u64,
 }
 
-/// What an observation needs to be sent.
+/// The next step for an observation.
 enum Step {
     /// The map has it.
     Known,
@@ -88,7 +88,7 @@ impl Resent {
                 self.producer.send_position(&state, time_nanos, &position.coordinates).await?
             }
             Some(Content::Label(label)) => self.producer.send_label(&state, time_nanos, &label).await?,
-            // It was refused, and is again: no state has an empty name.
+            // The observation was refused, and is refused again: no state has an empty name.
             Some(Content::Left(_)) | None => {
                 self.refused.insert(sequence);
                 return self.producer.send("", 0, 0.0).await.map(drop);
@@ -112,7 +112,8 @@ impl Resent {
     }
 }
 
-/// Producers, with label, of whose observations in a fork the map lacks some, and those of them that stream now.
+/// Producers, with label, whose observations in a fork are not all in the map, and those of these producers that stream
+/// now.
 async fn lacking(to: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<BTreeMap<(String, String), bool>> {
     let rows = fork.producers.iter().filter(|row| row.known_observations < row.observations);
     let mut lacking: BTreeMap<(String, String), bool> =

@@ -56,7 +56,7 @@ pub(crate) struct FileTimeArgs {
 enum FileTime {
     /// Nanoseconds UTC.
     Utc(i64),
-    /// What a clock showed.
+    /// The time that a clock showed.
     Clock(DateTime),
 }
 
@@ -64,7 +64,7 @@ enum FileTime {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct FileTimes {
     times: Vec<FileTime>,
-    /// Whether the files themselves say when they were made, so that their order does not matter.
+    /// Whether the files themselves state when they were made, so that their order does not matter.
     are_own: bool,
     is_utc: bool,
 }
@@ -82,7 +82,8 @@ impl FileTimeArgs {
     /// The times of the files.
     ///
     /// # Errors
-    /// A file has none, or a time has no zone and nobody says which; before the daemon is contacted.
+    /// A file has no time, or a time has no zone and no option states one; this is checked before the daemon is
+    /// contacted.
     pub(super) fn of(&self, files: &[PathBuf]) -> anyhow::Result<FileTimes> {
         let (times, are_own) = match (&self.times_from, &self.times_file) {
             (Some(pattern), _) => (pattern.times(files)?, true),
@@ -130,8 +131,8 @@ impl FileTimeArgs {
 }
 
 impl FileTimes {
-    /// The files with their times, in nanoseconds UTC, and those whose time does not exist in the zone, with the
-    /// reason. Files that say themselves when they were made are put in the order of their times. `zone`: the map's
+    /// The files with their times, in nanoseconds UTC, and the files whose time does not exist in the zone, with the
+    /// reason. Files that state themselves when they were made are put in the order of their times. `zone`: the map's
     /// time zone, by name.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! The files of a recording: found, opened and read one after the other.
 //!
-//! Invariant: files are read in the order in which they are named; those of a folder of rosbag2 in the order of its
+//! Invariant: files are read in the order in which they are named; files of a folder of rosbag2 in the order of its
 //! `metadata.yaml`. An error names the file.
 
 use std::{
@@ -162,7 +162,7 @@ fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(read.files.into_iter().map(|name| folder.join(name)).collect())
 }
 
-/// Reads the files once, to find what is in them.
+/// Reads the files once, to find their contents.
 pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyhow::Result<Surveyed> {
     let mut survey = Survey::without_transforms_of(&wishes.mapping.skip);
     surveyed(recording, bar, &mut survey, true)?;

@@ -78,7 +78,7 @@ impl ImportTransfer {
         &self.counts
     }
 
-    /// Takes what has arrived since the last wait, which may have been cut short.
+    /// Takes the refusals that have arrived since the last wait, which may have been cut short.
     pub(super) fn conclude(&mut self) {
         self.collect();
         let progress = self.producer.progress();
@@ -199,7 +199,7 @@ impl ImportTransfer {
         self.producer.go_on_from(replay.into_tiles()).await.map_err(TransferEnd::Stopped)
     }
 
-    /// Takes the refusals that have arrived, and counts what is durable.
+    /// Takes the refusals that have arrived, and counts the durable observations.
     fn collect(&mut self) {
         // Read before the refusals, so that the refusals of all these observations have arrived.
         let durable = self.producer.progress().durable_sequence;

@@ -80,7 +80,7 @@ impl KindPatterns {
         self.0.iter().position(|(pattern, _)| matches(&pattern.chars().collect::<Vec<_>>(), &name))
     }
 
-    /// Which kinds the states of a file get. A pattern that no state fits is told.
+    /// Plans the kinds of the states of a file. A pattern that no state fits is reported.
     ///
     /// # Errors
     /// A state exists with another kind, or its kind does not go with how it is reported; the file cannot be read
@@ -169,7 +169,7 @@ async fn known_shapes(session: &Session, map: &str) -> anyhow::Result<HashMap<St
 fn states_of(file: &Path, rules: &RowRules) -> anyhow::Result<BTreeSet<String>> {
     let (mut rows, _) = feed::reader::<ObservationColumns>(file, rules)?;
     let mut states = BTreeSet::new();
-    // What is wrong with a row or a name is said when it is sent: such rows make no state.
+    // A fault of a row or a name is reported when the row is sent: such rows make no state.
     while let Some(item) = rows.next_item()? {
         let RowItem::Row(row) = item else { continue };
         if row.is_read && !states.contains(&row.state) && StateName::observed(&row.state).is_ok() {

@@ -1,6 +1,6 @@
 //! The states that a command means: names, patterns of names, or all.
 //!
-//! Invariant: a pattern that no name fits is told, with names that exist.
+//! Invariant: a pattern that no name fits is reported, with names that exist.
 
 use tidemap_client::maps::State;
 
