@@ -1,4 +1,4 @@
-//! Comparisons with given observations, and what was observed.
+//! Comparisons with given observations, and the history of observations.
 //!
 //! Invariant: one entry for each row of the answer, in the order of the daemon.
 
@@ -66,7 +66,7 @@ pub(crate) fn evaluate<'py>(
 /// Times and values.
 type Series<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// What was observed of a state from one time up to, not including, another.
+/// The observations of a state from one time up to, not including, another.
 #[pyfunction]
 pub(crate) fn history<'py>(
     py: Python<'py>,

@@ -1,6 +1,6 @@
 //! The connection to a daemon, and its questions with many numbers: these go as arrays, all others as JSON.
 //!
-//! Invariant: arrays have one row for each state and one column for each time, in the order that was asked.
+//! Invariant: arrays have one row for each state and one column for each time, in the order of the request.
 
 use std::{
     collections::HashMap,
@@ -27,8 +27,8 @@ use crate::{
     waiting::{Maker, runtime, wait},
 };
 
-/// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that
-/// of a state, or `STATE/LABEL` of a label of a categorical one.
+/// Predicted values, bounds of the intervals if requested, entropies, the evidence of each row, and its name: the name
+/// of a state, or `STATE/LABEL` for a label of a categorical state.
 type PredictedArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,
@@ -37,8 +37,8 @@ type PredictedArrays<'py> = (
     Vec<String>,
 );
 
-/// What stands behind the predictions of a state: the model that answered, its order, the number of observations and of
-/// those that no update has learned, and the time of the newest.
+/// The evidence for the predictions of a state: the model that answered, its order, the number of observations and of
+/// observations that no update has learned, and the time of the newest observation.
 type Evidence = (Option<String>, u32, u64, u64, Option<i64>);
 
 fn evidence(run: &PredictionRun) -> Evidence {
@@ -80,7 +80,7 @@ async fn predicted_rows(
     count: usize,
 ) -> Result<Result<Vec<PredictedRow>, String>, tidemap_client::Error> {
     let mut rows: Vec<PredictedRow> = Vec::with_capacity(predictions.states().len());
-    // Of each state and label, its row: long runs of times come in pieces.
+    // The row of each state and label: long runs of times come in pieces.
     let mut places = HashMap::new();
     while let Some(run) = predictions.next().await? {
         let state = &predictions.states()[run.state];
@@ -98,7 +98,7 @@ async fn predicted_rows(
     Ok(Ok(rows))
 }
 
-/// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
+/// A sighting of landmarks: place, part of the edge, time, names seen, names out of view.
 type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);
 
 /// A client of a daemon.
@@ -135,7 +135,7 @@ impl NativeClient {
     /// The client of the library, and its turns. A child of a fork gets connections of its own.
     ///
     /// # Errors
-    /// It is closed.
+    /// The client is closed.
     pub(crate) fn client(&self, py: Python<'_>) -> PyResult<(Client, Room)> {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         if held.client.is_none() {
@@ -144,7 +144,7 @@ impl NativeClient {
         }
         if held.maker != Maker::here() {
             let client = connected(py, &self.server, &self.credentials)?;
-            // What the parent has open is the parent's: to drop it here would touch threads that are not there.
+            // The connections belong to the parent: to drop them here would touch threads that do not exist here.
             std::mem::forget(held.client.replace(client));
             held.maker = Maker::here();
         }
@@ -176,7 +176,7 @@ impl NativeClient {
     }
 }
 
-/// What became of what was sent, or the exception.
+/// The counts of the rows that were sent, or the exception.
 fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, PyDict>> {
     let counts = match outcome {
         Outcome::Whole(counts) => counts,
@@ -194,7 +194,7 @@ fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, Py
 
 #[pymethods]
 impl NativeClient {
-    /// Connects when it is first asked something.
+    /// Makes a client that connects at its first request.
     #[new]
     #[pyo3(signature = (server, token=None, ca=None, certificate=None, key=None))]
     fn new(

@@ -33,7 +33,7 @@ pub(crate) fn cell_box([x, y, z, to_x, to_y, to_z]: [i32; 6]) -> CellBox {
     CellBox { min: CellIndex { x, y, z }, max: CellIndex { x: to_x, y: to_y, z: to_z } }
 }
 
-/// The cells of an array: those that were asked for, also where nothing was ever seen. A projected grid has one layer.
+/// The cells of an array: the requested cells, also where nothing was ever seen. A projected grid has one layer.
 fn cells_of(answer: &WholeGrid, query: &GridQuery) -> CellBox {
     let known = answer.header.region;
     let asked = query.region.unwrap_or(known);

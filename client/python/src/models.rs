@@ -110,7 +110,7 @@ impl NativeModel {
         Ok(Self { model, zone, kind, parameters, state_kind, times_nanos: times, values })
     }
 
-    /// How pickle makes it: by training.
+    /// The way in which pickle makes the model: by training.
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, this) = (slf.py(), slf.get());
         let arguments = (
@@ -125,12 +125,12 @@ impl NativeModel {
         Ok((py.import("tidemap.models")?.getattr("trained_anew")?, arguments.into_pyobject(py)?))
     }
 
-    /// It never changes.
+    /// Returns the model itself, which never changes.
     fn __copy__(slf: Bound<'_, Self>) -> Bound<'_, Self> {
         slf
     }
 
-    /// It never changes.
+    /// Returns the model itself, which never changes.
     fn __deepcopy__<'py>(slf: Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
         slf
     }

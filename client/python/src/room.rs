@@ -1,7 +1,7 @@
-//! Requests that wait for their turn: the client sends no more at a time than a daemon takes of one client, and asks
-//! again where the daemon has no room.
+//! Requests that wait for their turn: the client sends no more at a time than a daemon takes from one client, and sends
+//! a request again if the daemon has no room.
 //!
-//! Invariant: a request is sent again only where the daemon did nothing, and said when to come again.
+//! Invariant: a request is sent again only if the daemon did nothing, and stated the time of the next attempt.
 
 use std::{
     future::Future,
@@ -17,7 +17,7 @@ use tokio::{
 };
 use tonic::Status;
 
-/// Requests of a client at a time: half of what a daemon takes of one client by default.
+/// Requests of a client at a time: half of the number that a daemon takes from one client by default.
 const AT_ONCE: usize = 64;
 /// A request that found no room for so long is given up.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-/// An error that may say when the same request will find room.
+/// An error that may state when the same request will find room.
 pub(crate) trait Hint {
     /// After which time; `None`: it is final.
     fn hint(&self) -> Option<Duration>;

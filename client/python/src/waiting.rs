@@ -1,7 +1,7 @@
 //! Waiting for the daemon without holding the interpreter.
 //!
-//! Invariant: a wait that Python interrupts ends at once, and drops what it waited for. A process has a runtime of its
-//! own: after a fork, the threads of the one before are not there.
+//! Invariant: a wait that Python interrupts ends at once, and drops its future. A process has a runtime of its own:
+//! after a fork, the threads of the parent do not exist.
 
 use std::{
     future::Future,
@@ -14,7 +14,7 @@ use tokio::runtime::{Builder, Runtime};
 
 use crate::failure;
 
-/// How often Python is asked whether Ctrl-C was pressed.
+/// The interval of the checks whether Ctrl-C was pressed.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
 /// The process that made something which has threads or connections.

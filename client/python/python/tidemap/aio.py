@@ -4,8 +4,8 @@
         await client.observe("home", frame)
         async for reply in client.watch_anomalies("home"): ...
 
-Invariant: a call waits in a thread of its own, and the loop runs meanwhile. A call whose ``await`` is cancelled
-goes on in its thread; what it sends counts once all the same.
+Invariant: a call waits in a thread of its own, and the loop runs meanwhile. A call whose ``await`` is cancelled goes on
+in its thread; the rows that it sends still count once.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class AsyncStream(AsyncIterator[dict[str, Any]]):
 
 
 class AsyncProducer:
-    """Observations as they come; use it with ``async with``. What it has taken is durable after ``flush()``."""
+    """Sends observations as they come; use it with ``async with``. Observations that it has taken are durable after
+    ``flush()``."""
 
     def __init__(self, client: AsyncClient, begin: Callable[[], Producer]) -> None:
         self._client = client

@@ -100,7 +100,7 @@ class Daemon:
         return self.http if self.http.startswith("http") else f"http://{self.http}"
 
     def kill(self) -> None:
-        """Ends it at once, as kill -9 does; for tests of what is durable."""
+        """Ends the daemon at once, as kill -9 does; for tests of durable data."""
         self._process.kill()
         self._process.wait(timeout=_STOPS_WITHIN_SECS)
 

@@ -1,11 +1,11 @@
-"""Rows of observations out of what people have: frames of pandas and polars, dictionaries of columns, arrays.
+"""Rows of observations from the data of users: frames of pandas and polars, dictionaries of columns, arrays.
 
 A long frame has a row for each observation, with the columns ``time``, ``state`` and ``value`` (or ``x``, ``y`` and
 ``z`` for positions). A wide frame has a row for each time and a column for each state. The time may be the index.
 
 Invariant: rows keep their order, and every row is read, dropped with its reason counted, or named in an error. A marker
-for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement: of samples it is dropped, of
-changes and events it says that no value is known from then on. An empty cell of a wide frame is no row.
+for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement: in samples it is dropped, in
+changes and events it means that no value is known from then on. An empty cell of a wide frame is no row.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Rows:
     read: int
     """Values of the frame, those without a measurement included."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """How many had each marker for "nothing measured"."""
+    """The number of values of each marker for "nothing measured"."""
     mapped: int = 0
-    """How many had a word for a value."""
+    """The number of values that were words."""
 
 
 class Numbers(NamedTuple):
@@ -61,11 +61,11 @@ class Numbers(NamedTuple):
     values: Floats
     """NaN where nothing was measured."""
     missing: dict[str, int]
-    """How often each marker for "nothing measured" was there."""
+    """The number of values of each marker for "nothing measured"."""
     mapped: int
-    """How many were words for values."""
+    """The number of values that were words."""
     said: npt.NDArray[np.bool_]
-    """Where a word says that nothing was measured; elsewhere NaN is an empty cell."""
+    """True where a word means that nothing was measured; elsewhere NaN is an empty cell."""
 
 
 def _wrong(message: str) -> InvalidArgument:
@@ -77,7 +77,7 @@ def numbers(
 ) -> Numbers:
     """Values as numbers.
 
-    ``words`` has values of further words; ``None`` stands for "nothing measured". Of events any word is one event.
+    ``words`` has values of further words; ``None`` means "nothing measured". In events any word is one event.
     """
     array = values if isinstance(values, np.ndarray) else np.asarray(values)
     array = array.ravel()
@@ -117,14 +117,14 @@ def numbers(
 
 
 class _Meaning(NamedTuple):
-    """What a value of a frame says."""
+    """The meaning of a value of a frame."""
 
     number: float
     is_word: bool = False
     marker: str | None = None
-    """What stands for "nothing measured", or for nothing that is known."""
+    """The marker for "nothing measured", or for an unknown value."""
     is_said: bool = False
-    """It is a word, and no empty cell."""
+    """Whether the value is a word, and no empty cell."""
     is_strange: bool = False
 
 
@@ -161,7 +161,7 @@ def is_empty(cell: Any) -> bool:
     """Whether a cell of a frame has no value: ``None``, NaN, NaT or the NA of pandas."""
     if cell is None:
         return True
-    # NA is equal to nothing, and says so by no answer.
+    # NA is equal to nothing: the comparison gives NA, not a truth value.
     equal = cell == cell
     return equal is not True and str(equal) in ("False", "<NA>")
 

@@ -1,4 +1,4 @@
-"""Landmarks: what a robot recognises places by, which of them are visible when, and where a robot is.
+"""Landmarks, by which a robot recognises places: which are visible when, and localisation of a robot.
 
 Invariant: nothing is computed here; the daemon predicts and matches.
 """
@@ -58,7 +58,7 @@ def _name(place: Mapping[str, Any]) -> str:
 
 
 def _row(landmark: Mapping[str, Any]) -> dict[str, Any]:
-    """What a landmark is and where."""
+    """The description and place of a landmark."""
     path, marker = landmark.get("path") or {}, landmark.get("marker") or {}
     feature = landmark.get("image") or path.get("feature") or {}
     described = feature.get("descriptor")
@@ -88,11 +88,11 @@ class Landmarks(Connection):
         along_m: Any = None,
         velocity_profile: bytes | None = None,
     ) -> dict[str, Any]:
-        """Adds image features to a node, or to an edge ``from/to``, or replaces those of their names.
+        """Adds image features to a node, or to an edge ``from/to``, or replaces the features of the same names.
 
-        ``positions``: pixels, shape (n, 2). ``descriptors``: uint8, shape (n, bytes), as OpenCV gives them. ``kind``: what
-        computes them, such as ``"orb"``; a map has descriptors of one kind. At an edge ``along_m`` says for each how far
-        along it is seen. Markers: ``call("LandmarkService/AddLandmarks", …)``.
+        ``positions``: pixels, shape (n, 2). ``descriptors``: uint8, shape (n, bytes), as OpenCV gives them. ``kind``:
+        the algorithm that computes them, such as ``"orb"``; a map has descriptors of one kind. At an edge ``along_m``
+        gives for each feature how far along the edge it is seen. Markers: ``call("LandmarkService/AddLandmarks", …)``.
         """
         features = _features(positions, descriptors)
         if len(names) != len(features):
@@ -160,7 +160,8 @@ class Landmarks(Connection):
         return tables.frame(rows, columns=[*_row_columns(), "seen_share", "sightings"])
 
     def remove_landmarks(self, map: str, place: str, names: Sequence[str]) -> None:
-        """Removes landmarks of a place; what was learned of them stays for one of the same name that is added again."""
+        """Removes landmarks of a place; their learned data stays for a landmark of the same name that is added
+        again."""
         request = {"map": map, "place": _place(place), "names": [str(name) for name in names]}
         self.call("LandmarkService/RemoveLandmarks", request)
 

@@ -1,4 +1,4 @@
-"""Tasks of a robot: what is to be done, plans of days, and reports of what was done.
+"""Tasks of a robot: the tasks, plans of days, and reports of done tasks.
 
 Invariant: nothing is planned here; the daemon plans, keeps plans, and learns from reports.
 """
@@ -42,7 +42,8 @@ class Tasks(Connection):
         end: str = "24:00",
         **task: Any,
     ) -> dict[str, Any]:
-        """Adds a task, or replaces that of its kind and node. It is done between two local times of a day.
+        """Adds a task, or replaces the task of the same kind and node. The task is done between two local times of a
+        day.
 
         ``task`` has further fields of ``Task``: ``value``, ``value_state``, ``weekdays``, ``date``, ``every_secs``.
         """
@@ -52,7 +53,7 @@ class Tasks(Connection):
         return added
 
     def remove_task(self, map: str, kind: str, node: str) -> None:
-        """Removes a task; what was learned of it stays."""
+        """Removes a task; its learned data stays."""
         self.call("TaskService/RemoveTask", {"map": map, "kind": kind, "node": node})
 
     def tasks(self, map: str) -> pandas.DataFrame:
