@@ -58,8 +58,8 @@ impl Room {
         Self(Arc::new(Semaphore::new(AT_ONCE)))
     }
 
-    /// Asks when it is this request's turn, and again as long as the daemon has no room. Gives the answer, with the
-    /// turn that it has.
+    /// Sends a request when its turn comes, and again as long as the daemon has no room. Returns the reply, with the
+    /// turn of the request.
     pub(crate) async fn ask<T, E: Hint, F: Future<Output = Result<T, E>>>(
         &self,
         ask: impl Fn() -> F,

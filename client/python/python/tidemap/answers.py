@@ -98,7 +98,7 @@ class Predictions:
     time_zone: str = "UTC"
     """The zone of the map."""
     models: list[str | None] = field(default_factory=list)
-    """What answered for each state; ``None``: nothing was learned, and the prior answered."""
+    """The model that answered for each state; ``None``: nothing was learned, and the prior answered."""
     orders: list[int] = field(default_factory=list)
     """Number of rhythms of that model."""
     observations: list[int] = field(default_factory=list)

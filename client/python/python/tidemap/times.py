@@ -269,9 +269,9 @@ def _in_second_hour(
 ) -> npt.NDArray[np.bool_]:
     """Which rows of an hour that exists twice are of the second one.
 
-    The second hour begins where the clock goes back by half an hour step or more; else, for each state, where its clock
-    goes back most, or stands still. If the clock of a state never does this, its rows belong to the second hour after
-    the first such row of another state.
+    The second hour begins where the clock goes back by half of the repeated hour or more; else, for each state, where
+    its clock goes back most, or stands still. If the clock of a state never does this, its rows belong to the second
+    hour after the first such row of another state.
     """
     rows = np.arange(len(local))
     steps = np.diff(local)

@@ -157,7 +157,7 @@ def test_records_that_a_power_cut_took_do_not_hide_new_ones(tmp_path):
     again = Spool(tmp_path, MEGABYTE)
     again.linked(3)
     assert number + again.offset == 4 and again.read(None, number)[0] == b"new"
-    # And so it stays.
+    # The state stays so.
     again.close()
     last = Spool(tmp_path, MEGABYTE)
     last.linked(3)

@@ -91,14 +91,14 @@ def generated(definition: Definition) -> dict[str, Any]:
     from std_msgs.msg import Header
 
     standard = {
-        # Their texts end with those of the types that they use, which are here already.
+        # The texts of the definitions end with the types that they use, which are here already.
         kind._type: kind._full_text.split("=" * 80)[0].rstrip() for kind in (Header, GoalID, GoalStatus)
     }
     return dict(generate_dynamic(definition.type_name, definition.text(standard)))
 
 
 def action(definition: Definition, log: Callable[[str], object]) -> Any:
-    """The class of the action: that of its package if it is installed, else one that is made here."""
+    """The class of the action: from its package if that is installed, else a class that is made here."""
     without = f"the types of {definition.type_name} are made at run time"
     installed = optional.found(f"{definition.package}.msg", f"{definition.name}Action", without, log)
     return generated(definition)[definition.type_name] if installed is None else installed

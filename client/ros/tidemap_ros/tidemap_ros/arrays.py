@@ -107,7 +107,7 @@ def one_in_each_cell(
         _, first = np.unique(flat, return_index=True)
         return xyz_m[np.sort(first)]
     numbers = np.arange(len(flat), dtype=np.int32)
-    # Only what is written here is read: of several points of a cell the first one stays.
+    # Only cells that are written here are read: if a cell has several points, the first one stays.
     table = np.empty(whole, dtype=np.int32)
     table[flat[::-1]] = numbers[::-1]
     kept: Points = xyz_m[table[flat] == numbers]
@@ -138,7 +138,7 @@ def in_cells_of_map(
     A cell of the map gets what lies in it: occupied if anything there is, free if something is free and nothing
     occupied.
     """
-    # Cells that are larger than those of the map are divided, so that no cell of the map is left out between.
+    # Cells that are larger than the cells of the map are divided, so that no cell of the map is left out between.
     parts = max(1, math.ceil(resolution_m / map_resolution_m - 1e-6))
     turned = abs(math.sin(2 * poses.yaw_rad(corner))) > 1e-6
     if turned:

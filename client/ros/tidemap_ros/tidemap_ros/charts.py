@@ -25,13 +25,13 @@ _ALL_LAYERS = (-(1 << 20), 1 << 20)
 
 
 class NoMap(Exception):
-    """There is nothing to show yet; the message says why."""
+    """There is nothing to show yet; the message states why."""
 
 
 def moment(words: str, now_nanos: int) -> int:
     """The time of words such as ``+2h``, nanoseconds. ``now_nanos`` is 0 before the first time on ``/clock``."""
     if now_nanos == 0 and clock_words.needs_now(words):
-        # Until then ROS says that it is 1970, of which nobody wants a map.
+        # Until then ROS time is in 1970, for which no user wants a map.
         raise NoMap("there is no time yet: use_sim_time is set, and nothing has come on /clock")
     return clock_words.nanos(words, now_nanos)
 
@@ -99,7 +99,7 @@ def region_of(settings: Settings, known: dict[str, Any]) -> Region:
 
 
 class Charts:
-    """Asks the daemon for the map at times. ``client`` is a client of ``tidemap``."""
+    """Requests the map at given times from the daemon. ``client`` is a client of ``tidemap``."""
 
     def __init__(self, settings: Settings, client: Callable[[], Any]) -> None:
         self._settings = settings
@@ -138,7 +138,7 @@ class Charts:
         name, model = self._settings.text("map"), self._settings.text("model")
         found = self._client().grid(name, clock_words.stated(nanos), model=model, **options)
         if model == "auto" and found.generation == 0:
-            # Nothing is learned before the first nightly update; what was seen last is better than nothing.
+            # Nothing is learned before the first nightly update; the newest observations are better than nothing.
             found = self._client().grid(name, clock_words.stated(nanos), model="latest", **options)
         layer = np.asarray(found.values[0], dtype=np.float64)
         if layer.shape != (region.height, region.width):
@@ -172,7 +172,7 @@ class Charts:
         return spread(header, counts, region)
 
     def check_growth(self) -> None:
-        """Looks whether the map has outgrown the region."""
+        """Checks whether the map has outgrown the region."""
         region = self.region
         known = self._client().call("MapService/GetMap", {"name": self._settings.text("map")})["map"]
         shown = (known.get("grid_summary") or {}).get("region") or {}

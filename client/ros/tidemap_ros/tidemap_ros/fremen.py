@@ -24,7 +24,7 @@ from tidemap_ros.predecessors import (
 )
 
 PATIENCE_SECS = 5.0
-"""How long an unreachable daemon is waited for, before readings are refused."""
+"""The time for which a call waits for an unreachable daemon, before readings are refused."""
 ORDER_ACCEPTED_MAX = 100
 """A higher order is refused, as fremenserver does."""
 BETTER_BY = 0.001
@@ -128,7 +128,7 @@ class Fremen:
     # Predictions
 
     def _predicted(self, names: list[str], seconds: Seconds, order: int) -> Floats:
-        """Predictions that know all that was added: fremenserver learns when it is told, tidemap in updates."""
+        """Predictions that include all added readings: fremenserver learns on request, tidemap in updates."""
         values, pending = self._states.predicted(names, seconds, order)
         if pending and self._monotonic() - self._learned_at >= self._period_secs:
             self._states.update()
@@ -244,7 +244,7 @@ class Fremen:
         return Answer(True, order, message, periods, amplitudes, phases)
 
     def _offset_secs(self, last_time: str | None) -> float:
-        """What the map's zone is ahead of UTC at a time: its rhythms are those of the clock on the wall."""
+        """The offset of the map's zone from UTC at a time: the rhythms of the map follow the wall clock."""
         zone = str(self._link.map()["time_zone"])
         if zone == "UTC" or not last_time:
             return 0.0

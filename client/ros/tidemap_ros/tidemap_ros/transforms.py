@@ -1,9 +1,9 @@
-"""Where frames are, as tf tells it.
+"""The poses of frames, from tf.
 
 A small buffer in pure Python: a tree of frames, with static transforms and moving ones, which are interpolated at the
-time that is asked for. The node feeds it from ``/tf`` and ``/tf_static``.
+requested time. The node feeds it from ``/tf`` and ``/tf_static``.
 
-Invariant: nothing is extrapolated. A pose is either between two that were heard, or static, or not given.
+Invariant: nothing is extrapolated. A pose is either between two received ones, or static, or not given.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class NoTransform(LookupError):
 
 
 class NotYet(NoTransform):
-    """A pose that is not known yet: its time is newer than what was heard, or a frame was not heard of."""
+    """A pose that is not known yet: its time is newer than the received transforms, or a frame was not received yet."""
 
 
 class _Moving:

@@ -1,4 +1,4 @@
-// What lies on a map besides the grid: flows, places, edges, routes and tours, in metres.
+// Elements of a map besides the grid: flows, places, edges, routes and tours, in metres.
 
 import type { Extent } from './extent';
 import type { FlowLayer } from './flow';
@@ -18,7 +18,7 @@ export interface PlanNode {
 export interface PlanEdge {
     from: string;
     to: string;
-    /** What its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
+    /** The value that its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
     share?: number;
     /** Number of reported traversals. */
     reports: number;
@@ -33,7 +33,7 @@ export interface PlanPath {
     points: { x: number; y: number; label?: string | undefined }[];
 }
 
-/** A square that stands out the more, the more looking teaches there. */
+/** A square that stands out more with more information gain. */
 export interface PlanSquare {
     x: number;
     y: number;
@@ -66,7 +66,7 @@ export function around(one: Extent | undefined, other: Extent | undefined): Exte
     };
 }
 
-/** What lies at a point of the map. */
+/** The element at a point of the map. */
 export type Found = { node: PlanNode } | { edge: PlanEdge } | undefined;
 
 /** The node or the edge at a point, in metres, if one is near enough: nodes before edges. */

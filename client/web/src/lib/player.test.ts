@@ -1,4 +1,4 @@
-// The player: time goes on as fast as its span says, and waits for frames where there is a grid.
+// The player: time goes on at the pace of its span, and waits for frames where there is a grid.
 
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';

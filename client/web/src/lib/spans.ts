@@ -9,7 +9,7 @@ interface Span {
     stepMs: number;
     /** Between two frames that are fetched while it plays. */
     frameMs: number;
-    /** How much time a second of playing shows. */
+    /** The time that a second of playing shows. */
     pace: number;
     /** `anchor`: the time that spans without a beginning of their own end with the day of. */
     start: (ms: number, zone: string, anchor: number) => number;
@@ -69,7 +69,7 @@ export function position(span: SpanName, start: number, ms: number, zone: string
 const DAY_TICKS = [0, 3, 6, 9, 12, 15, 18, 21];
 const MONTHS = ['Jan', 'Feb', 'Mar', 'Apr', 'May', 'Jun', 'Jul', 'Aug', 'Sep', 'Oct', 'Nov', 'Dec'];
 
-/** What stands below the slider, and where: hours of the clock, days, or the first days of months. */
+/** The labels below the slider, and their places: hours of the clock, days, or the first days of months. */
 export function spanTicks(span: SpanName, start: number, zone: string): { ms: number; text: string }[] {
     if (span === 'day') return clockHours(start, DAY_TICKS, zone).map((ms) => ({ ms, text: clock(ms, zone) }));
     if (span !== 'year') return [0, 1, 2, 3, 4, 5, 6].map((day) => addDays(start, day, zone)).map((ms) => ({ ms, text: dayName(ms, zone) }));

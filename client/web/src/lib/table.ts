@@ -5,7 +5,7 @@
 import { csvRow, escaped, pngOf, save, type Format } from './export';
 
 export interface Table {
-    /** Of what, when and in which zone. */
+    /** The content, time and zone of the table. */
     title: string;
     head: string[];
     rows: (string | number)[][];

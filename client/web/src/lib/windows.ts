@@ -1,4 +1,4 @@
-// Which cells to fetch for what is visible.
+// The cells to fetch for the visible part.
 
 import type { CellBox, Grid } from '../wire/tidemap/v1/types_pb';
 import type { Window2d } from './frames';

@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 import tidemap
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# As deep as what a test sends: a sender forgets what does not fit, also if it is reliable.
+# The depth holds all messages of a test: a sender forgets messages that do not fit, also if it is reliable.
 RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 PATIENCE_SECS = 60.0
 
@@ -181,7 +181,7 @@ def pytest_runtest_makereport(item, call):
 
 
 def values(message: Any) -> dict[str, dict[str, str]]:
-    """Of a message of diagnostics, the values of each line, with its level and message."""
+    """The values of each line of a diagnostics message, with its level and message."""
     found = {}
     for line in message.status:
         name = line.name.partition(": ")[2]
