@@ -55,9 +55,9 @@ pub enum DataError {
 /// A test set.
 #[derive(Clone, Debug)]
 pub struct TestSet {
-    /// Its name in results.
+    /// The name of the data in results.
     pub label: String,
-    /// Whether it is training data.
+    /// Whether the data is training data.
     pub is_learned: bool,
     /// Readings of each state, ascending by time.
     pub samples: Vec<Vec<Sample>>,

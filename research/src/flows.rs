@@ -5,7 +5,7 @@
 //! robots cross the floor every half hour, from 7 to 19 o'clock, on routes by [`plan_routes`]: the shortest, and those
 //! that avoid the encounters that a model expects.
 //!
-//! - `floor.rs`: the floor as cells and as a lattice of nodes; `trips.rs`: routes, and who is met on them;
+//! - `floor.rs`: the floor as cells and as a lattice of nodes; `trips.rs`: routes, and the people met on them;
 //! - `report.rs`: results.csv.
 //!
 //! Invariant: models learn earlier days only, all robots make the same trips among the same people, and the same
@@ -80,7 +80,7 @@ impl ComparedFlow {
     /// Both, the baseline first.
     pub const ALL: [ComparedFlow; 2] = [ComparedFlow::Timeless, ComparedFlow::Spectral];
 
-    /// Its name in results.
+    /// The name of the robot in results.
     pub fn name(self) -> &'static str {
         match self {
             ComparedFlow::Timeless => "timeless",
@@ -161,7 +161,7 @@ impl FlowScore {
     }
 }
 
-/// What came of one seed.
+/// The outcome of one seed.
 struct SeedOutcome {
     /// By model, then by working day.
     days: Vec<Vec<FlowDay>>,

@@ -10,7 +10,7 @@ use tidemap_model::{
     selector::{Blend, ModelSelector},
 };
 
-/// Where the temporal prior comes from.
+/// The source of the temporal prior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActivityModel {
     /// Nowhere: it is even at all times.
@@ -73,7 +73,7 @@ impl FromStr for ActivityModel {
         let ModelSelector { kind, blend, .. } = text.parse().map_err(|_| wrong())?;
         match kind {
             _ if blend != Blend::None || kind.takes_newest() || !kind.supports(StateKind::Probability) => Err(wrong()),
-            // They need an order.
+            // These kinds need an order.
             ModelKind::Spectral | ModelKind::Uniform => Err(wrong()),
             ModelKind::Auto => Ok(Self::Auto),
             kind => Ok(Self::One(kind, None)),

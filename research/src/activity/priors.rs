@@ -1,6 +1,6 @@
-//! What is usual: how likely each activity is at each minute of a day, learned from the days before.
+//! The priors: the probability of each activity at each minute of a day, learned from the days before.
 //!
-//! Invariant: a day is asked for before it is learned; the days before the first are even.
+//! Invariant: a day is predicted before it is learned; the days before the first are even.
 
 use tidemap_map::{
     event::{Observations, StateKind},

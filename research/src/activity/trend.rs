@@ -1,7 +1,7 @@
 //! Whether errors fall from day to day.
 //!
-//! The slope is that of a straight line (least squares). Its p-value is the share of orders of the days whose slope is
-//! at least as steep, up or down: a permutation test with a fixed seed.
+//! The slope is the slope of a straight line (least squares). Its p-value is the share of orders of the days whose
+//! slope is at least as steep, up or down: a permutation test with a fixed seed.
 //!
 //! Invariant: the same days give the same trend.
 

@@ -29,20 +29,20 @@ const NAME: &str = "name";
 /// A model of a comparison.
 #[derive(Clone, Debug)]
 pub struct ModelEntry {
-    /// Its name in results: that of its kind, unless the protocol sets another.
+    /// The name of the model in results: the name of its kind, unless the protocol sets another.
     pub label: String,
-    /// Its parameter sets; tuning chooses one.
+    /// The parameter sets of the model; tuning chooses one.
     pub sets: Vec<ComparedSettings>,
 }
 
-/// What the rest of a protocol allows its models.
+/// The settings of models that the rest of a protocol allows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Allowed {
     /// The kind of the values.
     pub values: StateKind,
     /// Whether a section chooses from lists.
     pub tunes: bool,
-    /// What lists are for.
+    /// The purpose of lists.
     pub lists: Lists,
     /// Whether readings are predicted from a newest one.
     pub has_newest: bool,

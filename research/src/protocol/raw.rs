@@ -13,7 +13,7 @@ use serde_saphyr::Spanned;
 /// A text with its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Word {
-    /// Its line, from 1.
+    /// The number of the line, from 1.
     pub line: u64,
     /// The text; a number as the parser prints it.
     pub text: String,

@@ -1,4 +1,4 @@
-//! What is to be done on a day: tasks at random nodes with random windows, and charging in each part of the day.
+//! The demand of a day: tasks at random nodes with random windows, and charging in each part of the day.
 //!
 //! Invariant: the tasks of a day depend on the seed, the day and their number only. Names are unique on a day.
 
@@ -27,9 +27,9 @@ const CHARGE_VALUE: f64 = 20.0;
 /// Length of the other windows, and how long their tasks take, in minutes.
 const WINDOW_MINUTES: Range<u32> = 60..240;
 const DURATION_MINUTES: Range<u32> = 5..25;
-/// What the other tasks are worth.
+/// The values of the other tasks.
 const VALUES: Range<u32> = 1..6;
-/// Key of the draws, apart from those of the building.
+/// Key of the draws, apart from the draws of the building.
 const DEMAND: u64 = u64::MAX - 1;
 
 /// The tasks of a day, counted from 0, at these nodes.

@@ -88,10 +88,11 @@ export interface LastReport {
     hasValue?: boolean | undefined;
 }
 
-/** A row without a value: its value holds no longer than itself, although there is newer data. */
+/** Whether the newest row has no value: it holds no longer than itself, although there is newer data. */
 const hasNoValue = ({ row, until, newest, hasValue = row >= newest }: LastReport) => until <= row && !hasValue;
 
-/** If a row without a value is the newest of all, no other data shows whether it has a value. */
+/** Whether it is unknown if the newest row has a value: its value ends with the row, and the row is the newest data of
+ * all. */
 export const isDoubtful = ({ row, until, newest }: LastReport) => until <= row && row >= newest;
 
 /** The value of the newest row of changes or events, and its end. */

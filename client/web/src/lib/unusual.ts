@@ -57,7 +57,7 @@ export function rangeText(from: number, to: number, zone: string): string {
     return dayName(from, zone) === dayName(to, zone) ? `${first} – ${last}` : `${first} – ${dayName(to, zone)} ${last}`;
 }
 
-/** What was seen, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
+/** The observation and its prediction, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
 export function runText(run: Unusual, zone: string, isProbability: boolean): string {
     // For other kinds than probabilities, `probability` is the probability of a value at least as far from the
     // prediction.

@@ -27,9 +27,9 @@ use crate::{
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 86_400_000_000_000;
-/// Weight of what a look teaches, beside the probability that somebody comes.
+/// Weight of the information gain of an observation, beside the probability that a visitor comes.
 const EXPLORATION: f64 = 0.1;
-/// Subjects of draws, apart from those of the house.
+/// Subjects of draws, apart from the draws of the house.
 const UNIFORM: u64 = 11;
 const TIES: u64 = 12;
 
@@ -58,7 +58,7 @@ impl TerminalRobotKind {
         TerminalRobotKind::Oracle,
     ];
 
-    /// Its name in results.
+    /// The name of the terminal in results.
     pub fn name(self) -> &'static str {
         match self {
             TerminalRobotKind::Uniform => "uniform",
