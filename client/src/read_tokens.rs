@@ -97,7 +97,7 @@ where
         if path == OBSERVE || !(is_renewing || names_a_map(path)) {
             return Box::pin(self.inner.call(request));
         }
-        // The one that is ready takes the request.
+        // The service that is ready takes the request.
         let next = self.inner.clone();
         let mut inner = std::mem::replace(&mut self.inner, next);
         let tokens = self.tokens.clone();

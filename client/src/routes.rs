@@ -103,7 +103,7 @@ pub struct Search {
     pub lower_bound_secs: f64,
     /// Whether the order is proven to be the best.
     pub optimal: bool,
-    /// Probability of all places that are not steps, divided by that of all places.
+    /// Probability of all places that are not steps, divided by the probability of all places.
     pub remains: f64,
     /// Why the walk ends early, if it does.
     pub stop: Option<StopReason>,

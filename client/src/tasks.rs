@@ -37,7 +37,7 @@ pub struct TaskQuery {
 /// The plan of a day with its tasks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DayPlan {
-    /// The slots; those that are left over by tasks may explore.
+    /// The slots; a slot without a task may explore.
     pub slots: Vec<DaySlot>,
     /// The tasks.
     pub tasks: PlannedTasks,
@@ -61,7 +61,7 @@ impl Client {
         TaskServiceClient::new(self.requests())
     }
 
-    /// Adds a task, or replaces the one of its kind and node.
+    /// Adds a task, or replaces the task of the same kind and node.
     ///
     /// # Errors
     /// [`Error`]; the code is `INVALID_ARGUMENT` if a number of the task is invalid.

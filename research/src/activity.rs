@@ -47,7 +47,7 @@ use recording::ActivityRecording;
 
 /// Midnight before the first day, which is a Thursday: 2010-11-04 UTC.
 const START_NANOS: i64 = 14_917 * 86_400_000_000_000;
-/// The days whose scores are averaged, counted from 0: what comes before is a week of learning.
+/// The days whose scores are averaged, counted from 0: the days before are a week of learning.
 const SCORED_FROM: usize = 6;
 /// The days whose errors have a trend, counted from 0: the first day has no model.
 const TREND_FROM: usize = 1;

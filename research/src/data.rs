@@ -4,8 +4,8 @@
 //! again in portions.
 //!
 //! Invariant: every row of every file is valid, or the experiment fails. No test set starts before the end of the
-//! training data unless it is a file of it, nor, if models learn test sets, before the end of the previous test set. A
-//! portion has at most the given number of readings, or one state.
+//! training data unless it is a file of the training data, nor, if models learn test sets, before the end of the
+//! previous test set. A portion has at most the given number of readings, or one state.
 
 use std::{
     borrow::Cow,

@@ -140,7 +140,7 @@ fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
     Ok(scores)
 }
 
-/// Adds the scores of a day that nobody has learned yet.
+/// Adds the scores of a day that no model has learned yet.
 fn score_day(scores: &mut Scores, world: &HabitWorld, day: usize, learner: &mut HabitLearner, baselines: &Baselines) {
     let HabitWorld { calendar, truth, values, .. } = world;
     let steps = calendar.days[day].steps.clone();

@@ -1,8 +1,8 @@
 //! Predictions of readings from the newest reading that was known some time before them.
 //!
-//! The models are those that were trained; only the newest reading moves. It is a reading of any file of the protocol:
-//! a robot remembers its readings of the test set before. Invariant: a prediction of a reading uses no reading that is
-//! nearer to it than the lead time, and with [`Ahead::Next`] none at its own time.
+//! The models are the trained ones; only the newest reading moves. It is a reading of any file of the protocol: a robot
+//! remembers its readings of the test set before. Invariant: a prediction of a reading uses no reading that is nearer
+//! to it than the lead time, and with [`Ahead::Next`] none at its own time.
 
 use tidemap_model::{MemoryBasis, Persistence, Sample, StateKind, models::TemporalModel as _};
 

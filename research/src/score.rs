@@ -72,7 +72,7 @@ impl TestScore {
         self.sets.iter().any(|set| !set.is_learned)
     }
 
-    /// The mean over test sets of their mean squared errors: over those that were not learned, if there are such.
+    /// The mean over test sets of their mean squared errors: over the sets that were not learned, if there are any.
     pub fn mse(&self) -> f64 {
         self.mean(|set| set.errors.mse())
     }

@@ -48,7 +48,7 @@ pub(crate) struct OverloadArgs {
     process: DaemonProcess,
 }
 
-/// Time to find out what the daemon can do.
+/// Time for measuring the capacity of the daemon.
 const CAPACITY_WITHIN: Duration = Duration::from_secs(3);
 const LEVEL: f64 = 0.9;
 

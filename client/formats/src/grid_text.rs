@@ -33,7 +33,7 @@ pub fn write(picture: &MapPicture, title: &str) -> Result<String, PictureError> 
     Ok(text)
 }
 
-/// Pictures of one map at several times, each below its title, two beside each other; of two pictures also the
+/// Pictures of one map at several times, each below its title, two beside each other; if there are two, also the
 /// difference, the second minus the first.
 ///
 /// # Errors
@@ -99,7 +99,7 @@ impl Blocks {
         [name.to_owned()].into_iter().chain(self.lines(rows, character)).collect()
     }
 
-    /// The scale, and what a character is.
+    /// The scale, and the meaning of a character.
     fn legend(&self, picture: &MapPicture) -> String {
         let Self { across, down, times, .. } = self;
         let mut text = String::new();

@@ -134,7 +134,7 @@ impl PictureCell {
 /// The first of pictures that are compared.
 ///
 /// # Errors
-/// There is none, one is invalid or has several layers, or their sizes differ.
+/// There is no picture, one is invalid or has several layers, or their sizes differ.
 pub(crate) fn same_size(panels: &[(String, MapPicture)]) -> Result<&MapPicture, PictureError> {
     let (_, first) = panels.first().ok_or(PictureError::Empty([0; 3]))?;
     for (_, picture) in panels {

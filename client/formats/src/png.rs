@@ -44,8 +44,8 @@ pub fn write_for_people(picture: &MapPicture, scale: Option<u32>, caption: &str)
     Ok(legend.below(&drawn).png()?)
 }
 
-/// Pictures of one map at several times beside each other, each below its title, with one legend; of two pictures also
-/// the difference, the second minus the first. `scale` and `caption`: as in [`write_for_people`].
+/// Pictures of one map at several times beside each other, each below its title, with one legend; if there are two,
+/// also the difference, the second minus the first. `scale` and `caption`: as in [`write_for_people`].
 ///
 /// # Errors
 /// The errors of [`write`], or the sizes of the pictures differ.

@@ -7,7 +7,7 @@
 //! Nav2 knows nodes and edges by numbers below 65,536, which are unique among both. The daemon numbers the nodes of a
 //! map and its edges apart, and never uses a number again. Here the numbers come in fours: node `n` is `4 n`, and the
 //! edges `3 k`, `3 k + 1` and `3 k + 2` are `4 k + 1`, `4 k + 2` and `4 k + 3`. So a number follows from the daemon's
-//! alone: whatever is added, renamed or removed, everything else keeps its number.
+//! alone: if an element is added, renamed or removed, all others keep their numbers.
 //!
 //! Invariant: no two features have the same number; every edge joins two nodes of the file; every cost is above 0.
 

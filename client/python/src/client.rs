@@ -74,7 +74,7 @@ impl PredictedRow {
     }
 }
 
-/// The rows of all states, or the name of one that is a position.
+/// The rows of all states, or the name of a state that is a position.
 async fn predicted_rows(
     mut predictions: Predictions,
     count: usize,
@@ -241,16 +241,16 @@ impl NativeClient {
         }
     }
 
-    /// Checks that a kind exists and goes with how states are reported, before anything is withdrawn or sent.
+    /// Checks that a kind exists and fits the reporting of the states, before anything is withdrawn or sent.
     #[pyo3(signature = (kind, reporting=None))]
     #[expect(clippy::unused_self, reason = "Python has the client at hand")]
     fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<SaidReporting>) -> PyResult<()> {
         states_of(py, kind, reporting).map(drop)
     }
 
-    /// Sends observations, each exactly once; those that the daemon has are compared. `positions` has the coordinates
-    /// of vectors, one row each, in the place of the values. `progress` is called with the number of durable ones and
-    /// of all. NaN of changes and events: no value is known from then on.
+    /// Sends observations, each exactly once; observations that the daemon has are compared. `positions` has the
+    /// coordinates of vectors, one row each, in place of the values. `progress` is called with the number of durable
+    /// observations and of all. NaN in changes and events: no value is known from then on.
     #[pyo3(signature = (
         map, states, state_indices, times_nanos, values, producer, label, kind, nightly, positions=None, progress=None,
         reporting=None

@@ -121,7 +121,7 @@ pub(crate) fn seen_tiles(cells: ArrayView3<'_, i8>, first_cell: [i32; 3]) -> Vec
     tiles.into_iter().map(masks).collect()
 }
 
-/// Sends all grids and waits until they are durable; those that the daemon has are compared.
+/// Sends all grids and waits until they are durable; grids that the daemon has are compared.
 pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGrids) -> Outcome {
     let (name, label) = (options.producer.clone(), options.label.clone());
     let mut producer = match Producer::open(&client, options).await {

@@ -15,7 +15,7 @@ use tidemap_model::{
 
 use crate::{failure, zones::zone_named};
 
-/// A model that was trained on readings. It keeps them: a copy of the model, in another process or from a file, is
+/// A model that was trained on readings, which it keeps: a copy of the model, in another process or from a file, is
 /// trained anew on the same readings, and so gives the same numbers in every version of the package.
 #[pyclass(frozen, module = "tidemap._native")]
 pub(crate) struct NativeModel {

@@ -1,6 +1,6 @@
 //! Sends the rows of arrays. Rows that the daemon has already are compared, not sent.
 //!
-//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once a row is durable, it counts as
 //! exactly one of accepted, duplicate and refused.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -142,7 +142,7 @@ pub(crate) struct SentCounts {
 /// The end of sending.
 pub(crate) enum Outcome {
     Whole(SentCounts),
-    /// The rows are not those that were sent before; how.
+    /// The rows differ from the rows that were sent before; the text states how.
     Differs(String),
     Stopped(ProducerError),
 }

@@ -19,7 +19,7 @@ use tonic::Status;
 
 /// Requests of a client at a time: half of the number that a daemon takes from one client by default.
 const AT_ONCE: usize = 64;
-/// A request that found no room for so long is given up.
+/// A request that found no room for this long is given up.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Least time between two tries; it doubles with each try, up to the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
@@ -53,7 +53,7 @@ pub(crate) struct Turn {
 }
 
 impl Room {
-    /// All turns.
+    /// Makes a room in which all turns are free.
     pub(crate) fn new() -> Self {
         Self(Arc::new(Semaphore::new(AT_ONCE)))
     }
@@ -86,7 +86,7 @@ impl Room {
     }
 }
 
-/// A time between one and two times as long, so that those who were refused together do not come again together.
+/// A time between `wait` and two times `wait`, so that requests that were refused together do not come again together.
 fn spread(wait: Duration) -> Duration {
     let random = RandomState::new().hash_one(0_u8);
     wait.mul_f64(1.0 + (random % 1024) as f64 / 1024.0)

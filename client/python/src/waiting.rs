@@ -27,7 +27,7 @@ impl Maker {
         Self(std::process::id())
     }
 
-    /// Refuses what another process has made: it was copied by a fork, and nobody answers in its connections.
+    /// Refuses what another process has made: it was copied by a fork, and its connections have no answering thread.
     pub(crate) fn check(self, py: Python<'_>, what: &str) -> PyResult<()> {
         if self == Self::here() {
             return Ok(());

@@ -39,7 +39,7 @@ const OP_CONNECTION: u8 = 7;
 /// Reads a bag of format 2.0. Records of kinds that the format does not know are passed over.
 ///
 /// # Errors
-/// If the source cannot be read, is no such bag, is encrypted, breaks the format or the limits of
+/// If the source cannot be read, is no bag of format 2.0, is encrypted, breaks the format or the limits of
 /// [`recording`](crate::recording), or the sink wants no more.
 pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
     let mut reader = BagReader::new(source);
@@ -402,8 +402,8 @@ impl<'a> Header<'a> {
     }
 }
 
-/// Whether bytes look like the begin of a record: a header's length, a field's length within it, a name and `=`. A
-/// missing field at the end of the file is no counter-evidence.
+/// Whether bytes have the form of the begin of a record: a header's length, a field's length within it, a name and `=`.
+/// A missing field at the end of the file is no counter-evidence.
 fn begins_record(bytes: &[u8]) -> bool {
     let mut rest = Fields(bytes);
     let (Some(header), Some(field)) = (rest.u32(), rest.u32()) else { return true };

@@ -34,7 +34,7 @@ pub struct Folder {
 pub enum Compression {
     /// Nothing, or chunks within the files.
     None,
-    /// Each message. The readers find it out by themselves.
+    /// Each message. The readers detect this themselves.
     Message,
     /// Each file as a whole.
     File,

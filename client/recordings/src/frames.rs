@@ -189,7 +189,7 @@ impl Frames {
         }
     }
 
-    /// Frames whose parent or static pose changed, some of them if there are many.
+    /// Frames whose parent or static pose changed, only some if there are many.
     pub fn conflicts(&self) -> impl Iterator<Item = &str> {
         self.conflicts.iter().map(String::as_str)
     }
@@ -304,7 +304,7 @@ impl Frames {
     }
 }
 
-/// Whether two poses are the same but for rounding.
+/// Whether two poses are equal except for rounding.
 fn is_near(one: &Isometry3<f64>, other: &Isometry3<f64>) -> bool {
     let apart = one.translation.vector - other.translation.vector;
     apart.norm() < 1e-6 && one.rotation.angle_to(&other.rotation) < 1e-6

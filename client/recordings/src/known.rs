@@ -28,7 +28,7 @@ pub enum KnownError {
         /// Path of the field.
         field: String,
     },
-    /// Values that do not go together, or that nothing can be made of.
+    /// Values that do not fit together, or that cannot be used.
     #[error("{0}")]
     Values(String),
 }
@@ -89,7 +89,8 @@ pub fn stamp(message: &Value<'_>) -> Option<i64> {
     })
 }
 
-/// The frame in which a message was measured, without a leading slash; empty if it names none, or one that is too long.
+/// The frame in which a message was measured, without a leading slash; empty if the message names no frame, or a name
+/// that is too long.
 pub fn frame(message: &Value<'_>) -> String {
     match message.at(&["header", "frame_id"]) {
         Some(Value::Text(bytes)) if bytes.len() <= FRAME_BYTES_MAX => {

@@ -1,4 +1,4 @@
-//! The mapping: what a person wants to be made of the topics of a recording, as a YAML file.
+//! The mapping: the user's choice of the observations to make of the topics of a recording, as a YAML file.
 //!
 //! Invariant: a mapping that was read has paths, names and kinds that can be; whether a recording has its topics and
 //! fields is checked when a plan is made.

@@ -117,7 +117,7 @@ impl Plan {
 /// Why no plan can be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
-    /// The mapping, or a list of topics, names one that the recording does not have.
+    /// The mapping, or a list of topics, names a topic that the recording does not have.
     #[error("the recording has no topic {name:?}; it has {topics}")]
     NoTopic {
         /// The name.
@@ -308,7 +308,7 @@ fn state_name(topic: &str) -> String {
     topic.trim_matches('/').replace('/', "-")
 }
 
-/// Leaves out grids that were made of the scans that are taken as well, and grids of costs.
+/// Leaves out grids that were made from scans that are also taken, and grids of costs.
 fn prefer_scans(surveyed: &Surveyed, plans: &mut [TopicPlan], wishes: &Wishes) {
     let is_placed = |topic: &TopicSurvey, plan: &TopicPlan| {
         matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))
@@ -339,7 +339,7 @@ fn has_moving_link(surveyed: &Surveyed, frame: &str) -> bool {
     surveyed.frames.chain(frame).iter().any(|name| surveyed.frames.moves(name))
 }
 
-/// Finds the topic whose grids the changes of another topic are of: `/map_updates` goes with `/map`.
+/// Finds the topic of the grids to which the changes of another topic belong: `/map_updates` belongs to `/map`.
 fn find_changed_grids(topics: &[TopicSurvey], plans: &mut [TopicPlan]) {
     let is_grid: Vec<bool> = plans.iter().map(|plan| plan.grid == Some(GridUse::Grids)).collect();
     for (index, topic) in topics.iter().enumerate() {

@@ -14,7 +14,7 @@ use crate::{
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
 
-/// End of the name of a file beside a database, in which the newest rows may stand. The reader does not see it: rows
+/// End of the name of a file beside a database, in which the newest rows may stand. The reader does not read it: rows
 /// are missing if that file is there and not empty. `sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'` joins the two.
 pub const LOG_ENDING: &str = "-wal";
 

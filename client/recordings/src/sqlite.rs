@@ -262,7 +262,7 @@ impl<R: Read + Seek> Database<R> {
         Ok(())
     }
 
-    /// Reads the end of a row, from the pages that it goes on in.
+    /// Reads the end of a row, from the pages on which it continues.
     pub(crate) fn complete(&mut self, walk: &mut TableWalk, row: &mut TableRow) -> Result<(), RecordingError> {
         let Some(missing) = row.missing().filter(|_| row.bytes_stated() <= ROW_BYTES_MAX as u64) else {
             let what = format!("row {} of a table of the database", row.number());

@@ -57,7 +57,7 @@ impl Replay {
         number.into_iter().for_each(|number| self.follow(number));
     }
 
-    /// The next observation, of a position. One whose coordinates are not two or three is none.
+    /// Adds the next observation, of a position. An observation without two or three coordinates is not counted.
     pub fn position(&mut self, state: &str, time_nanos: i64, coordinates: &[f64]) {
         let number = Position::of(coordinates).and_then(|position| self.0.push_position(state, time_nanos, position));
         number.into_iter().for_each(|number| self.follow(number));

@@ -198,8 +198,8 @@ impl Window {
     /// item comes next.
     ///
     /// A batch is sent when it is full, when no other batch is in progress, or when a caller waits for one of its
-    /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and those
-    /// of a fast one together.
+    /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and
+    /// observations of a fast producer together.
     pub fn to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),

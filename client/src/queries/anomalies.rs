@@ -14,7 +14,7 @@ use tonic::Streaming;
 use super::ModelSelector;
 use crate::{connection::Client, error::Error};
 
-/// What counts as an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
+/// The criterion of an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
 /// kinds than probabilities: the value lies outside the prediction interval of a single value with this confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement {

@@ -60,7 +60,7 @@ pub struct PredictionRun {
 }
 
 impl PredictionRun {
-    /// The age of the newest observation at a time, see [`age_nanos`]. `None`: there is none.
+    /// The age of the newest observation at a time, see [`age_nanos`]. `None`: there is no observation.
     #[must_use]
     pub fn age_nanos(&self, at_nanos: i64) -> Option<i64> {
         self.last_nanos.map(|last_nanos| age_nanos(last_nanos, at_nanos))
@@ -216,7 +216,7 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
     *next = match time + count {
-        // How many labels there are, the daemon knows.
+        // The daemon knows the number of labels.
         all if all == piece.times.len() && !reply.label.is_empty() => Next { state, axes: axis, time: 0 },
         all if all == piece.times.len() => Next::after(state, axis),
         time => Next { state, axes: axis.saturating_sub(1), time },

@@ -1,6 +1,7 @@
 //! Writes files of scans.
 //!
-//! Invariant: the batches are those that a producer would send on its first connection; each can be sent as it is.
+//! Invariant: the batches are the batches that a producer would send on its first connection; each can be sent as it
+//! is.
 
 use std::io::{self, Write};
 

@@ -1,4 +1,5 @@
-//! The models that compete: none, one kind of the catalogue for every activity, or what a map chooses night by night.
+//! The models that compete: none, one kind of the catalogue for every activity, or the model that a map chooses night
+//! by night.
 //!
 //! Invariant: the name of a model reads back as the model.
 

@@ -59,7 +59,7 @@ fn even(labels: usize) -> f64 {
     1.0 / labels as f64
 }
 
-/// Whether an activity was the one that was recognised, minute by minute.
+/// Whether an activity was the recognised one, minute by minute.
 fn samples(day: usize, recognised: &[usize], label: usize) -> impl Iterator<Item = Sample> {
     recognised.iter().enumerate().map(move |(minute, &found)| Sample {
         utc_nanos: minute_nanos(day, minute),

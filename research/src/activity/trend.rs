@@ -10,7 +10,7 @@ use rand::{SeedableRng as _, rngs::SmallRng, seq::SliceRandom as _};
 /// Number of orders that are drawn.
 const DRAWS: usize = 9_999;
 const SEED: u64 = 1;
-/// A slope nearer to 0 than this is one of equal values, and rounding.
+/// A slope nearer to 0 than this comes from equal values, and rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// The slope of values over days.

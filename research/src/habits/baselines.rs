@@ -1,4 +1,4 @@
-//! Predictions that anybody can make with a table: what tidemap has to beat.
+//! Baselines: predictions that anybody can make with a table, and that tidemap has to beat.
 //!
 //! Invariant: a prediction uses readings of earlier days only. Each reading counts once.
 

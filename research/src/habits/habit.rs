@@ -41,7 +41,7 @@ pub struct Habit {
     pub(super) spans: fn(&HabitDay, &mut SmallRng) -> Vec<Span>,
     /// The probability of 1 at all other times.
     pub(super) base: f64,
-    /// The state keeps its value with a time constant of so many minutes, above 0, while its probability is the same.
+    /// The state keeps its value with a time constant of this many minutes, above 0, while its probability is the same.
     pub(super) keeps_minutes: f64,
     /// When a robot reads the state.
     pub(super) looks: LookPlan,

@@ -11,7 +11,7 @@ use super::{BASELINES, Errors, HabitScores, HabitsComparison, HourClaims, LEVELS
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, write_rows};
 
-/// Writes a row for each habit, and one of their means.
+/// Writes a row for each habit, and one row of their means.
 ///
 /// Columns: habit; mean squared error and log loss (nats) of the hidden state, and by which share they are above the
 /// errors of the best baseline; `held_50`: the share of uncertain hours of which the mean lay in the interval of 50 %,

@@ -16,7 +16,7 @@ pub struct FoundPlaces {
     pub found: usize,
     /// For the places that were found: the error of the heading, pixels.
     pub heading_errors_px: Vec<f64>,
-    /// Pictures whose place has no heading, or one that is off by more than 35 px.
+    /// Pictures whose place has no heading, or a heading that is off by more than 35 px.
     pub heading_wrong: usize,
     /// Sum over the pictures of the negative logarithm of the probability of the true place, nats.
     pub log_loss: f64,

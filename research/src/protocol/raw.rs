@@ -19,7 +19,7 @@ pub(crate) struct Word {
     pub text: String,
 }
 
-/// One text or a list of them.
+/// One text or a list of texts.
 #[derive(Clone, Debug)]
 pub(crate) struct Words {
     /// The first line.

@@ -222,7 +222,7 @@ fn first_come(open: &[Occurrence<'_>]) -> Option<(usize, f64)> {
     first.map(|(index, task)| (index, secs(task.from_nanos)))
 }
 
-/// Whether the next step of a plan can be done as planned, or nothing is left of it.
+/// Whether the next step of a plan can be done as planned, or the plan has no further step.
 fn still_holds(steps: &VecDeque<KeptStep>, open: &[Occurrence<'_>], now_secs: f64) -> bool {
     let next = steps.front().map(|step| place_in(open, step));
     next.is_none_or(|next| next.is_some_and(|(_, departure_secs)| now_secs <= departure_secs + BEHIND_SECS))

@@ -7,7 +7,7 @@
 //!
 //! - `visitors.rs`: the house; `robot.rs`: the robots; `report.rs`: results.csv, weeks.csv.
 //!
-//! Invariant: with one seed all robots meet the same visitors; plans use earlier days only, except those of the robots
+//! Invariant: with one seed all robots meet the same visitors; plans use earlier days only, except plans of the robots
 //! that are called best or oracle; the same protocol gives the same figures for any number of threads.
 
 use std::{

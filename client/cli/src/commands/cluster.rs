@@ -128,7 +128,7 @@ pub(crate) struct HealArgs {
     dry_run: bool,
 }
 
-/// Runs a command. Whatever goes wrong ends with status 2.
+/// Runs a command. Any error ends with status 2.
 pub(crate) async fn run(
     session: &Session,
     credentials: &Credentials,

@@ -1,4 +1,4 @@
-//! `tidemap completions` and `tidemap man-pages`: texts for shells and for `man`, made of the command line itself.
+//! `tidemap completions` and `tidemap man-pages`: texts for shells and for `man`, made from the command line itself.
 //!
 //! Invariant: both texts describe exactly the arguments that this program accepts; hidden commands are in neither.
 

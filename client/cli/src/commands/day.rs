@@ -222,7 +222,7 @@ fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
     }
 }
 
-/// The information of each slot; those that are explored are marked.
+/// The information of each slot; explored slots are marked.
 fn plot(session: &Session, title: &str, slots: &[DaySlot]) -> CurvePlot {
     CurvePlot {
         title: title.to_owned(),

@@ -47,7 +47,7 @@ pub(crate) struct Replacement {
 }
 
 impl Replacement {
-    /// Begins a file, beside the one that it will be.
+    /// Begins a temporary file beside the final one.
     pub(crate) fn begin(path: &Path) -> anyhow::Result<Self> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();

@@ -28,7 +28,7 @@ use crate::progress::status_line;
 
 /// Maximum number of states, each of which is a channel.
 const STATES_MAX: usize = 1_000;
-/// A map without observations of states begins so long before its last update.
+/// A map without observations of states begins this long before its last update.
 const UNKNOWN_PAST_NANOS: i64 = 28 * 86_400_000_000_000;
 /// The number of states whose first observation is requested.
 const ASKED_STATES: usize = 100;

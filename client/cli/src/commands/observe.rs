@@ -1,4 +1,4 @@
-//! `tidemap observe`, and what all commands that send files share.
+//! `tidemap observe`, and the common parts of all commands that send files.
 //!
 //! Invariant: a row's number in its file is its sequence number. A file can be sent any number of times, in any number
 //! of pieces, and is learned once. The rows that the daemon has are compared with the file before anything is sent.
@@ -193,7 +193,7 @@ fn words(args: &ObserveArgs) -> FileWords {
     FileWords { words, kinds }
 }
 
-/// Erases what the options' producer has sent with their label.
+/// Erases the observations that the producer of the options has sent with their label.
 async fn withdraw(session: &Session, options: &ProducerOptions) -> anyhow::Result<()> {
     let ProducerOptions { producer, label, map, .. } = options;
     let known = session.client.producers(map).await?;

@@ -120,7 +120,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             wide.add(&run, &name, times);
         }
         if let Some(table) = &mut table {
-            // People see how many observations wait, where there are such.
+            // Tables for people show how many observations wait, if any do.
             let shows_pending = session.format != Format::Table || args.full || run.pending > 0;
             for cells in rows(&run, &name, &times[run.first_time..], shows_pending) {
                 table.row(cells)?;

@@ -149,7 +149,7 @@ fn ends(day: LocalDay, zone: &Zone) -> (i64, i64) {
 }
 
 /// The times of a local day in steps of its clocks, from midnight on: with 6h always 00:00, 06:00, 12:00 and 18:00. An
-/// hour that comes twice is there twice if the step is not longer than what the clocks are put back.
+/// hour that comes twice is there twice if the step is not longer than the time by which the clocks are put back.
 fn local_steps(day: LocalDay, zone: &Zone, step: i64) -> Result<Vec<i64>, UsageError> {
     let (from, to) = ends(day, zone);
     let offsets = [from, to.saturating_sub(1)].map(|nanos| i64::from(zone.offset_secs(nanos)) * SEC_NANOS);

@@ -61,8 +61,8 @@ fn mask(picture: &MapPicture, cells: Vec<PictureCell>) -> MapPicture {
     }
 }
 
-/// Marks the cells that an area covers: those that its sides pass through, and in each row of cells what lies between
-/// its sides.
+/// Marks the cells that an area covers: the cells that its sides pass through, and in each row the cells between its
+/// sides.
 fn forbid(picture: &MapPicture, corners: &[[f64; 2]], forbidden: &mut [bool]) {
     let [width, height, _] = picture.size_cells.map(|size| size as usize);
     let in_cells =

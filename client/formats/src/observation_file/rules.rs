@@ -28,7 +28,7 @@ pub enum Meaning {
 pub struct RowRules {
     /// Names of the columns in the file, in lower case: of time, state and value. `None`: the usual name.
     pub columns: [Option<String>; 3],
-    /// Words of the file, in lower case, beside those that everybody uses.
+    /// Words of the file, in lower case, beside the common words.
     pub words: HashMap<String, Meaning>,
     /// The zone of times that have none; `None`: such times are refused.
     pub zone: Option<Zone>,

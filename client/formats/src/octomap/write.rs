@@ -104,7 +104,7 @@ impl TreeWriter<'_> {
 
     fn cell(&self, key: [u32; 3]) -> u16 {
         let [width, height, _] = self.picture.size_cells.map(|size| size as usize);
-        // Not negative: the cell is in the picture.
+        // The index is not negative: the cell is in the picture.
         let [x, y, z] = [0, 1, 2].map(|axis| (i64::from(key[axis]) - self.lowest[axis]) as usize);
         match self.picture.cells.get(x + width * (y + height * z)).copied().and_then(PictureCell::probability) {
             None => UNKNOWN,

@@ -64,7 +64,7 @@ fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
 fn comes_twice(zone: &Zone, nanos: i64) -> bool {
     let offset = |nanos: i64| i64::from(zone.offset_secs(nanos.max(0))) * SEC;
     let here = offset(nanos);
-    // No zone puts its clocks back by more than three hours, but for a few that changed the date.
+    // No zone puts its clocks back by more than three hours, except for a few that changed the date.
     [nanos.saturating_sub(LONGEST_CHANGE), nanos.saturating_add(LONGEST_CHANGE)].into_iter().any(|near| {
         let other = offset(near);
         // The instant that shows the same clock with the other offset.

@@ -1,4 +1,4 @@
-"""The same client for asyncio: every call of :class:`tidemap.Client`, with ``await``.
+"""The client for asyncio: every call of :class:`tidemap.Client`, with ``await``.
 
     async with await tidemap.aio.connect("127.0.0.1:7435") as client:
         await client.observe("home", frame)
@@ -53,7 +53,7 @@ class AsyncStream(AsyncIterator[dict[str, Any]]):
         return reply
 
     def close(self) -> None:
-        """Wants no further reply."""
+        """Ends the stream: no further reply is wanted."""
         if self._stream is not None:
             self._stream.close()
             self._client._streams.discard(self._stream)
@@ -98,7 +98,8 @@ class AsyncProducer:
 
 
 class AsyncClient:
-    """A client of a daemon, for asyncio. ``client`` is the same one without. It is pickled as ``client`` is."""
+    """A client of a daemon, for asyncio. ``client`` is the client without asyncio. It is pickled in the same way as
+    ``client``."""
 
     def __init__(self, client: Client) -> None:
         self.client = client

@@ -42,8 +42,9 @@ class Observed:
     refusals: list[tuple[int, str]] = field(default_factory=list)
     """Row, counted from 0, and why it was refused; the first hundred."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """Rows in which nothing was measured: how many of each marker, such as ``unavailable``. Of samples they are not
-    sent. Of changes and events they are, as "no value is known from then on", but for empty cells of a wide frame."""
+    """Rows in which nothing was measured: the number of each marker, such as ``unavailable``. Such rows of samples are
+    not sent. Such rows of changes and events are sent as "no value is known from then on", except for empty cells of a
+    wide frame."""
     mapped: int = 0
     """Rows whose value was a word."""
 

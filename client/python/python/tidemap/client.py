@@ -1,7 +1,7 @@
 """A client of a daemon.
 
-Invariant: what a call sends is durable when it returns, and the same rows sent again add nothing. Errors have the
-daemon's words.
+Invariant: the rows that a call sends are durable when it returns, and the same rows sent again add nothing. Errors have
+the daemon's words.
 """
 
 from __future__ import annotations
@@ -136,8 +136,8 @@ class Client(Questions, Routes, Landmarks, Tasks):
 
         With ``kind="categorical"`` values are labels; the states were added with these labels (:meth:`add_state`).
 
-        Or give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are values with two or
-        three columns.
+        Instead of a frame, give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are
+        values with two or three columns.
 
         ``reports`` is the kind of a row. ``"samples"``: a reading, such as one of a robot that passes by.
         ``"changes"``: the value from then on, such as one of a door contact or a smart home; a row without a value
@@ -150,8 +150,8 @@ class Client(Questions, Routes, Landmarks, Tasks):
 
         The rows of a producer and label are counted from the first: the same rows sent again add nothing, and more rows
         behind them are added. Data that is not a continuation needs a ``label`` of its own, or ``replace=True``, which
-        withdraws what the producer has sent with the label before. ``nightly``: the nightly update follows the time of
-        the data.
+        withdraws the rows that the producer has sent with the label before. ``nightly``: the nightly update follows the
+        time of the data.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = "samples" if stated is None else stated.kind
@@ -257,7 +257,7 @@ class Client(Questions, Routes, Landmarks, Tasks):
         label: str | None = None,
         zone: str | None = None,
     ) -> dict[str, Any]:
-        """Erases a state, or what a producer observed, or an interval, as if it had never been observed.
+        """Erases a state, or the observations of a producer, or an interval, as if it had never been observed.
 
         The data is gone from history, models, log and later backups when this returns; ``to_time`` is not included.
         Returns the job, whose ``observations`` were erased. Data that cannot be erased exactly is refused, and nothing
@@ -283,7 +283,8 @@ class Client(Questions, Routes, Landmarks, Tasks):
         return int(self.call("MaintenanceService/ForgetProducer", request)["forgotten"])
 
     def _withdraw(self, map: str, producer: str, label: str) -> None:
-        """Erases what a producer has sent with a label, if it has, so that it counts when it is sent again."""
+        """Erases the rows that a producer has sent with a label, if there are any, so that they count when they are
+        sent again."""
         token = ""
         while True:
             page = self.call("MaintenanceService/ListProducers", {"map": map, "page_size": 10_000, "page_token": token})

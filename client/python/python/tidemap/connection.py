@@ -45,7 +45,7 @@ class Stream(Iterator[dict[str, Any]]):
         return reply
 
     def close(self) -> None:
-        """Wants no further reply. A thread that waits for one gets the end."""
+        """Ends the stream: no further reply is wanted. A thread that waits for a reply gets the end of the stream."""
         self._native.cancel()
 
     def __reduce__(self) -> Any:
@@ -61,7 +61,7 @@ class Connection:
 
     A process that was forked gets connections of its own. A pickle has the address and the files, by absolute paths,
     and connects anew where it is loaded. A client whose token or private key was given as text is not pickled, because
-    the secret would lie in the pickle.
+    the pickle would contain the secret.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Connection:
         return Stream(self._native.call(method, json.dumps(self._prepared(given, name, zone))))
 
     def call(self, method: str, request: dict[str, Any] | None = None, *, zone: str | None = None) -> dict[str, Any]:
-        """The one reply of ``SERVICE/METHOD``. Times of the request may have any form."""
+        """The single reply of ``SERVICE/METHOD``. Times of the request may have any form."""
         replies = list(self.stream(method, request, zone=zone))
         if len(replies) != 1:
             raise TidemapError(f"{method} gave {len(replies)} replies: use stream()", "INTERNAL")

@@ -258,7 +258,7 @@ def of_frame(
 
     ``columns`` gives the frame's own names for ``time``, ``state``, ``value``, ``x``, ``y`` and ``z``. ``states``: the
     state of a frame that has no such column; of a wide frame, the columns to take. ``words``: see :func:`numbers`.
-    ``reports``: what rows are; a frame of events needs no values, and each row is one event.
+    ``reports``: the kind of the rows; a frame of events needs no values, and each row is one event.
     """
     if hasattr(frame, "to_frame") and not hasattr(frame, "columns"):
         name = states if isinstance(states, str) else getattr(frame, "name", None)

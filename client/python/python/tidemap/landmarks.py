@@ -126,7 +126,7 @@ class Landmarks(Connection):
     ) -> Observed:
         """Reports sightings, and waits until they are durable; the same ones again add nothing.
 
-        Each has ``time``, ``place`` and ``seen``, the names of the landmarks that were seen, and may have
+        Each sighting has ``time``, ``place`` and ``seen``, the names of the landmarks that were seen, and may have
         ``out_of_view``, and ``from_m`` and ``to_m`` for a part of an edge. It counts for all landmarks of the place: 1
         if it was seen, else 0, and nothing if it was out of view.
         """
@@ -212,7 +212,7 @@ class Landmarks(Connection):
         nodes: Sequence[str] = (),
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """At which node a robot is that sees these image features, the best first.
+        """The nodes at which a robot with these image features may be, the best first.
 
         ``positions`` and ``descriptors`` as of :meth:`add_landmarks`. ``count``: landmarks of each node to compare.
         ``nodes``: where the robot may be. The columns are ``node, landmarks, matches, votes, heading_px, probability``.

@@ -50,7 +50,7 @@ class Refusal:
 
     sequence: int
     reason: str | None
-    """For programs, such as ``Empty`` or ``Frame``; ``None``: one that this version does not know."""
+    """For programs, such as ``Empty`` or ``Frame``; ``None``: a reason that this version does not know."""
     detail: str
     """In words."""
 

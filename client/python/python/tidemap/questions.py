@@ -46,8 +46,8 @@ class Questions(Connection):
                 return found
 
     def states(self, map: str) -> pandas.DataFrame:
-        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and how they
-        are reported: ``reports, hold_max, hold_step``.
+        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and their
+        reporting: ``reports, hold_max, hold_step``.
         """
         tables.pandas_needed()
         return tables.of_states(self._states(map), self._zone(map))
@@ -171,7 +171,7 @@ class Questions(Connection):
         Observations and ``reports`` as of :meth:`Client.observe`. For a state that reports changes or events, the
         daemon compares with the readings that the rows represent. ``models``: names as on the command line, or
         ``"all"``. The columns are ``state, model, order, n, mse, error_rate``. What could not be compared is in
-        ``attrs["unavailable"]``, and a warning says it.
+        ``attrs["unavailable"]``, and a warning lists it.
         """
         tables.pandas_needed()
         stated = _reports.stated(reports, None, None)
@@ -395,8 +395,8 @@ class Questions(Connection):
     ) -> Grid:
         """The grid at a time: ``probability``, ``entropy``, or ``threshold`` (1 where it is at least ``threshold``).
 
-        ``region`` has the first cell and the one beyond the last, as x, y, z, x, y, z; ``project`` gives each column
-        of cells the value of its most probable one.
+        ``region`` has the first cell and the cell beyond the last, as x, y, z, x, y, z; ``project`` gives each column
+        of cells the value of its most probable cell.
         """
         nanos = self._moment(map, time, zone)
         found = self._native.predict_grid(map, nanos, model, output, threshold, region, project)

@@ -158,7 +158,7 @@ class Routes(Connection):
     def policy(
         self, map: str, goal: str, start_time: Time, *, zone: str | None = None, **request: Any
     ) -> pandas.DataFrame:
-        """What to do at each node and time to reach a node: ``slot, node, next, action, expected_secs, probability``.
+        """The action at each node and time to reach a node: ``slot
 
         ``action`` is ``take`` (the edge to ``next``, with its action as in ``take:elevator``), ``wait``, ``nothing`` or
         ``arrived``. ``request`` has further fields of ``PlanPolicyRequest``.

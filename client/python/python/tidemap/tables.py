@@ -155,7 +155,7 @@ def of_policy(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
 
 
 def _entries(node: dict[str, Any]) -> Iterator[tuple[str | None, str, float, float]]:
-    """What to do at a node in each slot: the next node, the action, seconds and probability."""
+    """The actions at a node in each slot: the next node, the action, seconds and probability."""
     for action, place, secs, reach in zip(node["actions"], node["edge_indices"], node["expected_secs"], node["reach"]):
         word = name_of(action, "POLICY_ACTION_")
         edge = node["edges"][place] if word == "edge" else {}

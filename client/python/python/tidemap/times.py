@@ -48,7 +48,7 @@ class Read:
     """Times as they were given."""
 
     nanos: Nanos
-    """UTC, or what a clock on the wall showed where ``local`` is set."""
+    """UTC, or the reading of a wall clock where ``local`` is set."""
     local: npt.NDArray[np.bool_] | None
     """Whether each time has no zone; ``None``: all have one."""
 

@@ -1,6 +1,6 @@
 //! The entries of a mapping: from the fields of a topic to states, positions and traversals.
 //!
-//! Invariant: a rule makes of one message at most as many observations as the array that it names has elements.
+//! Invariant: from one message a rule makes at most as many observations as its array has elements.
 
 use std::collections::BTreeMap;
 
@@ -164,7 +164,7 @@ pub enum Reports {
     Events,
 }
 
-/// How a value is made of a field.
+/// The conversion of a field to a value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ValueRule {
     /// The field as a number; the length of an array.

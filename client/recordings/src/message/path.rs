@@ -54,7 +54,7 @@ impl Path {
     /// Checks the path against a layout, and gives the field at its end.
     ///
     /// # Errors
-    /// There is no such field, or an index is missing or one too many.
+    /// There is no such field, or an index is missing or superfluous.
     pub fn field_in<'l>(&self, layout: &'l Structure) -> Result<&'l LaidField, PathError> {
         let mut structure = layout;
         let mut steps = self.0.iter().peekable();

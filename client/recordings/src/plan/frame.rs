@@ -18,7 +18,7 @@ pub enum FrameChoice {
     Root,
     /// No transforms are needed: it is the frame of the messages.
     OfMessages,
-    /// There is none.
+    /// There is no frame.
     #[default]
     None,
 }

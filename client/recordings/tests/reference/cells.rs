@@ -18,7 +18,7 @@ use super::{beside, kind};
 
 const CELL_M: f64 = 0.1;
 
-/// Keeps what the messages of one topic become.
+/// Keeps the observations made of the messages of one topic.
 struct Kept {
     converter: Converter,
     topic: usize,

@@ -1,7 +1,7 @@
-"""The types of the actions of fremenserver and frenap: those that are installed, else made at run time by genpy.
+"""The types of the actions of fremenserver and frenap: the installed ones, else types made at run time by genpy.
 
-Invariant: types that are made here have the fields, in name, type and order, of the published definitions, so their
-sums are those that clients built with catkin have. ROS refuses a client whose sum differs.
+Invariant: types that are made here have the fields, in name, type and order, of the published definitions, so that
+their checksums are equal to those of clients built with catkin. ROS refuses a client whose sum differs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The action servers of fremenserver and frenap for ROS 1.
 
-Invariant: whatever a goal has in it, it ends with a result and a message, and the node goes on.
+Invariant: whatever a goal contains, it ends with a result and a message, and the node goes on.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Actions:
 
 
 def _not_at_once(execute: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Does it after a moment, see ``SOONEST_SECS``."""
+    """Runs the goal after a moment, see ``SOONEST_SECS``."""
 
     def later(goal: Any) -> None:
         time.sleep(SOONEST_SECS)

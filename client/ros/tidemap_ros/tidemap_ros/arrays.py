@@ -68,7 +68,7 @@ def points(cloud: Any) -> Points:
     found = np.empty((height * width, 3), dtype=np.float32)
     for axis, name in enumerate("xyz"):
         found[:, axis] = grid[name].ravel()
-    # A sum is finite only if all three are, but for numbers no sensor has.
+    # A sum is finite only if all three numbers are, except for numbers that no sensor has.
     finite = np.isfinite(found.sum(axis=1))
     return found if finite.all() else found[finite]
 

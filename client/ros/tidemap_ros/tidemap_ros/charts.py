@@ -1,7 +1,7 @@
 """The map at a time, in a region that does not change.
 
-Invariant: all charts of one node have the same cells, whatever was observed since. Rows go up, columns to the right, as
-in ``nav_msgs/OccupancyGrid``.
+Invariant: all charts of one node have the same cells, even if more was observed since. Rows go up, columns to the
+right, as in ``nav_msgs/OccupancyGrid``.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def grid_of(known: dict[str, Any]) -> MapGrid | None:
 
 
 def region_of(settings: Settings, known: dict[str, Any]) -> Region:
-    """The region of the parameter ``map_region``, or the one that the map has now."""
+    """The region of the parameter ``map_region``, or the region that the map has now."""
     grid = grid_of(known)
     if grid is None:
         raise NoMap(f"the map {settings.text('map')} has no grid")

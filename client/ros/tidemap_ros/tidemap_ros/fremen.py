@@ -1,7 +1,7 @@
 """The operations of STRANDS' fremenserver, answered by tidemap; without ROS.
 
-Invariant: ``add`` and ``addvalues`` succeed only when the daemon has the readings on its disk, and a prediction knows
-all that was added before it. What an operation returns, and in which field, is as fremenserver has it.
+Invariant: ``add`` and ``addvalues`` succeed only when the daemon has the readings on its disk, and a prediction
+includes all readings that were added before it. An operation returns its results in the same fields as fremenserver.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Fremen:
         }
 
     def answer(self, goal: Any) -> Answer:
-        """The result of a goal, whatever it is."""
+        """The result of any goal."""
         operation = self._operations.get(goal.operation)
         if operation is None or (goal.operation == "detect" and not hasattr(goal, "confidence")):
             known = ", ".join(self._operations)

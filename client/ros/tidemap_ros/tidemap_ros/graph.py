@@ -120,7 +120,7 @@ def repricing(
 ) -> Repricing:
     """The edges to close, to open again and to reprice, of the edges that ``PredictEdges`` foretells.
 
-    The cost is the duration divided by the probability of success: what an edge costs if it is tried until it works.
+    The cost is the duration divided by the probability of success: the cost of an edge that is tried until it works.
     """
     known: dict[tuple[str, str], tuple[float, float]] = {}
     for edge in predicted:

@@ -1,6 +1,6 @@
 """The content of diagnostics.
 
-Invariant: whatever was lost, left out or refused is a number here, and its level is not OK.
+Invariant: every lost, omitted or refused item is counted here, and the level is then not OK.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Converts messages to records, once their transform is known.
 
-Knows nothing of rclpy: messages are read by the names of their fields, and the node calls these methods.
+This module does not use rclpy: messages are read by the names of their fields, and the node calls these methods.
 
 Invariant: every message that arrives is counted exactly once: as taken, waiting for a transform, left out for a reason
 that diagnostics shows, or thinned out by a parameter.

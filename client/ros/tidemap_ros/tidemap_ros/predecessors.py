@@ -41,7 +41,7 @@ class Refused(Exception):
 
 
 def selector(order: int) -> Union[str, dict[str, Any]]:
-    """The model of an order: so many rhythms, or for a negative one what the map has chosen."""
+    """The model of an order: this number of rhythms, or for a negative order the model that the map has chosen."""
     if order < 0:
         return "auto"
     return {"kind": "MODEL_KIND_SPECTRAL", "order": min(order, ORDER_MAX)}

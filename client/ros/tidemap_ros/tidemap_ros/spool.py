@@ -5,8 +5,8 @@ A folder has segments, ``<number of the first record>.spool``, of records: lengt
 of the daemon: ``number + offset``. If the folder is full, new records are refused, and the old ones stay: a record
 whose number may be on its way cannot be taken out of the sequence, or the daemon would count another one in its place.
 
-Invariant: a record that was appended keeps its number, survives the end of this program, and goes only when the daemon
-has acknowledged it. The bytes of all segments never exceed the limit.
+Invariant: a record that was appended keeps its number, survives the end of this program, and is removed only when the
+daemon has acknowledged it. The bytes of all segments never exceed the limit.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Spool:
             last = self._next - 1 if self._recovered is None else self._recovered
             self._recovered = None
             if self.offset is None:
-                # Never sent: what the daemon has is of another folder of this producer.
+                # Nothing was sent from this folder: the daemon's data comes from another folder of this producer.
                 self.offset = durable_sequence - (first - 1)
             elif durable_sequence < first - 1 + self.offset:
                 self.lost += first - 1 + self.offset - durable_sequence
@@ -280,9 +280,9 @@ class Spool:
             segment.path.unlink()
 
     def read(self, at: Position | None, number: int) -> tuple[bytes, Position] | None:
-        """The record of this number, and where the one behind it begins; ``None`` if there is none.
+        """The record of this number, and the position of the next record; ``None`` if there is no such record.
 
-        ``at`` is what the last call returned, and saves a search.
+        ``at`` is the position that the last call returned; it saves a search.
         """
         with self._lock:
             if not self._first() <= number < self._next:

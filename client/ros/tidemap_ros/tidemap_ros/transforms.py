@@ -79,7 +79,7 @@ class Transforms:
         self._moving: dict[str, _Moving] = {}
 
     def add(self, parent: str, child: str, stamp_nanos: int, parent_from_child: Pose, *, is_static: bool) -> None:
-        """Takes a transform. A frame that gets another parent forgets the poses in the one before."""
+        """Takes a transform. A frame that gets another parent forgets the poses in the previous one."""
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if not parent or not child or parent == child:
             raise NoTransform(f"a transform from {child!r} to {parent!r} connects no two frames")

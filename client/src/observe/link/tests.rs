@@ -373,7 +373,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     producer.close().await?;
-    // An attempt may have been in progress; a producer that waits for the daemon would make all of them.
+    // An attempt may have been in progress; a producer that waits for the daemon would make all attempts.
     assert!(fake.stored().incarnations.len() <= 7, "{}", fake.stored().incarnations.len());
     Ok(())
 }

@@ -91,7 +91,7 @@ export function clockHours(day: number, hours: number[], zone: string): number[]
     return found.filter(({ hour, ms }) => clock(ms, zone) === `${String(hour).padStart(2, '0')}:00`).map(({ ms }) => ms);
 }
 
-/** The instant so many local days later, at the same time of the day. */
+/** The instant this many local days later, at the same time of the day. */
 export function addDays(ms: number, days: number, zone: string): number {
     return fromWall(wallTime(ms, zone) + days * DAY, zone);
 }

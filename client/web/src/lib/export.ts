@@ -21,7 +21,7 @@ const FORMULA = /^[=+\-@\t\r＝＋－＠]/;
 /** A number as a view writes it, which is no formula. */
 const NUMBER = /^[+-]?\d+(\.\d+)?(e[+-]?\d+)?$/i;
 
-/** A text as a spreadsheet shows it: one that would be a formula has an apostrophe before it. */
+/** A text as a spreadsheet shows it: a text that would be a formula has an apostrophe before it. */
 function asText(text: string): string {
     return FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text;
 }

@@ -92,7 +92,7 @@ export function likeliest(shares: number[]): { angle: number; share: number } {
     return { angle: angle < Math.PI ? angle : angle - 2 * Math.PI, share };
 }
 
-/** Arrows of a flow, one for each square of so many cells along its edge. */
+/** Arrows of a flow, one for each square of `along` cells along its edge. */
 export function arrowsOf({ flow, top }: FlowLayer, along: number): FlowArrow[] {
     const squares = new Map<string, { x: number; y: number; highest: number; counts: number[] }>();
     for (const cell of flow.cells) {

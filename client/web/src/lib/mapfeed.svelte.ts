@@ -135,7 +135,7 @@ export function byName(states: State[]): State[] {
     return [...states].sort((a, b) => Number(a.name.includes('/')) - Number(b.name.includes('/')) || collator.compare(a.name, b.name));
 }
 
-/** Names that are like one that does not exist, the likest first. */
+/** Names that are similar to a name that does not exist, the most similar first. */
 export function likeNames(name: string, names: string[], most = 5): string[] {
     const pairs = (text: string) => new Set(Array.from({ length: Math.max(0, text.length - 1) }, (_, at) => text.slice(at, at + 2)));
     const wanted = pairs(name.toLowerCase());

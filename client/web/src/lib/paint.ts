@@ -68,7 +68,7 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     return sheet;
 }
 
-/** Draws a frame; `ratio` is the number of pixels of the canvas for one of the screen. */
+/** Draws a frame; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
 export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number): void {
     const brush = canvas.getContext('2d');
     if (!brush) return;

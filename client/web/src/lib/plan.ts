@@ -57,7 +57,7 @@ export interface Camera {
     scale: number;
 }
 
-/** The rectangle around both, or the one there is. */
+/** The rectangle around both, or the only one. */
 export function around(one: Extent | undefined, other: Extent | undefined): Extent | undefined {
     if (!one || !other) return one ?? other;
     return {
@@ -87,7 +87,7 @@ export function planAt(plan: Plan, x: number, y: number, nearNodeM: number, near
     return best && { edge: best.edge };
 }
 
-/** The length of a scale bar, metres, of at most so many pixels: 1, 2 or 5 of a power of ten. */
+/** The length of a scale bar, metres, of at most `mostPx` pixels: 1, 2 or 5 of a power of ten. */
 export function scaleBar(scale: number, mostPx = 110): number {
     const most = mostPx / scale;
     const power = 10 ** Math.floor(Math.log10(most));

@@ -1,6 +1,6 @@
 // Plays time: frames are fetched at steps in advance, and times between them are blended.
 //
-// Invariant: time goes on only where both frames around it are here, so nothing is shown that was not predicted.
+// Invariant: time goes on only where both frames around it are here, so that nothing is shown that was not predicted.
 
 import { addDays, DAY } from './civil';
 import type { Feed } from './feed.svelte';

@@ -21,7 +21,7 @@ Object.assign(globalThis, {
     },
 });
 
-/** Lets the browser draw so many pictures, 50 ms apart. */
+/** Makes the browser draw this many pictures, 50 ms apart. */
 function pictures(count: number): void {
     for (; count > 0; count--) {
         clockMs += 50;

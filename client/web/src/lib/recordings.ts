@@ -15,7 +15,7 @@ export function isMapName(text: string): boolean {
     return /^[a-z0-9][a-z0-9_-]{0,62}$/.test(text);
 }
 
-/** A name of a map, made of the name of a file: `Office Tour_2.mcap` becomes `office-tour_2`. */
+/** A name of a map, made from the name of a file: `Office Tour_2.mcap` becomes `office-tour_2`. */
 export function mapNameOf(file: string): string {
     const ending = [...ENDINGS].sort((one, other) => other.length - one.length).find((ending) => file.toLowerCase().endsWith(ending)) ?? '';
     const plain = file.slice(0, file.length - ending.length).normalize('NFKD').replace(/\p{M}/gu, '').toLowerCase();

@@ -45,7 +45,7 @@ export function setToken(given: string): void {
     link.epoch++;
 }
 
-/** The headers of a request that goes beside the services. */
+/** The headers of a request that does not use the services. */
 export function authorization(): Record<string, string> {
     return token ? { authorization: `Bearer ${token}` } : {};
 }

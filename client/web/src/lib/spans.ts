@@ -29,7 +29,8 @@ export const SPANS: Record<SpanName, Span> = {
     },
     last: {
         stepMs: 30 * MINUTE, frameMs: HOUR, pace: 8 * HOUR,
-        // Seven days that end with the day of the anchor, or as many weeks before or after it as it takes.
+        // Seven days that end with the day of the anchor, or whole weeks before or after it, so that they contain the
+        // time.
         start: (ms, zone, anchor) => {
             const first = addDays(midnight(anchor, zone), -6, zone);
             const weeks = Math.floor((wallTime(ms, zone) - wallTime(first, zone)) / (7 * DAY));

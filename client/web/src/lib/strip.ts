@@ -1,7 +1,7 @@
 // Days of a state, hour by hour: predicted beside observed.
 //
-// Invariant: a column is an hour of the clock. The hour that a clock change leaves out has no value, and the one that
-// comes twice is one.
+// Invariant: a column is an hour of the clock. The hour that a clock change leaves out has no value, and an hour that
+// comes twice is one column.
 
 import { addDays, DAY, fromWall, HOUR, midnight, MINUTE, wallTime } from './civil';
 import { queries } from './rpc.svelte';

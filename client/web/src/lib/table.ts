@@ -1,4 +1,4 @@
-// Files of tables: what a view shows in words, as CSV, SVG and PNG.
+// Files of tables: the content of a view in words, as CSV, SVG and PNG.
 //
 // Invariant: a file has the cells of the view, in its order; numbers of a CSV file have no separators of thousands.
 

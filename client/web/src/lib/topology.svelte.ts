@@ -10,7 +10,7 @@ import { toNanos, toTimestamp } from './times';
 
 export type EdgeColour = 'success' | 'duration' | 'none';
 
-/** Forecasts wait so long for the slider to rest. */
+/** Forecasts wait this long for the slider to rest. */
 const REST_MS = 60;
 
 export class PlanFeed {

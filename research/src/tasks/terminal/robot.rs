@@ -1,7 +1,7 @@
 //! Terminals that choose their places in different ways.
 //!
 //! Invariant: a terminal stands in one place in each slot. The map learns from the terminal that tidemap plans for
-//! alone, and the static place is chosen by what that map has learned.
+//! alone, and the static place is chosen by the learned data of that map.
 
 use rand::Rng as _;
 use tidemap_map::{
@@ -40,7 +40,7 @@ pub enum TerminalRobotKind {
     Uniform,
     /// Always the place where people came in the greatest share of the slots that tidemap has learned.
     StaticLearned,
-    /// Always the place with the greatest number of visitors in all weeks, which nobody knows beforehand.
+    /// Always the place with the greatest number of visitors in all weeks, which no robot knows beforehand.
     StaticBest,
     /// The place that tidemap plans.
     Tidemap,

@@ -1,4 +1,4 @@
-//! Sending what a fork holds to its map again, as from its producers.
+//! Sends the observations of a fork to its map again, as if from their producers.
 //!
 //! Invariant: an observation is sent under the number and the incarnation that its producer gave it, so that the map
 //! has it once, however often this is repeated. After an observation that cannot be sent nothing more of its producer
@@ -126,7 +126,7 @@ async fn lacking(to: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<B
     Ok(lacking)
 }
 
-/// Sends what a fork of the daemon `from` holds, and the map lacks, through the daemon `to`.
+/// Sends the observations that a fork of the daemon `from` holds and the map lacks, through the daemon `to`.
 ///
 /// # Errors
 /// The fork or the producers of the map cannot be read.
@@ -134,7 +134,7 @@ pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &v1::Lo
     let mut taken_in = TakenIn::default();
     let mut producers: BTreeMap<(String, String), Sending> = BTreeMap::new();
     for (key, is_streaming) in lacking(to, map, fork).await? {
-        // Another stream with its incarnation would end the one that it has.
+        // Another stream with the producer's incarnation would end its open stream.
         if is_streaming {
             let why = "it sends observations now. Stop it, and run the command again";
             taken_in.reasons.insert(format!("producer {:?}: {why}", key.0));

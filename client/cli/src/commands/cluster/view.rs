@@ -1,6 +1,6 @@
-//! A cluster as all of its daemons see it.
+//! A cluster as all of its daemons report it.
 //!
-//! Invariant: each daemon has answered for itself; one that does not answer is there with the reason.
+//! Invariant: each daemon has answered for itself; a daemon that does not answer is included with the reason.
 
 use std::{collections::BTreeMap, time::Duration};
 

@@ -135,7 +135,7 @@ impl Channels {
         Ok(new)
     }
 
-    /// Sends what the map is at a time to those who have subscribed to it.
+    /// Sends the map at a time to the clients that have subscribed to it.
     async fn put(&mut self, session: &Session, served: &Served, time_nanos: i64) -> anyhow::Result<()> {
         let Served { options, states, frame, .. } = served;
         let at = PartialMetadata::with_log_time(unsigned(time_nanos));

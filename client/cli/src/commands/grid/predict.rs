@@ -277,7 +277,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     cells_between(session, &args.map, (args.region, args.z), args.out.is_none()).await
 }
 
-/// The requested cells of a map; without heights, those that matter to a robot. `None` for all.
+/// The requested cells of a map; without heights, the cells that matter to a robot. `None` for all.
 pub(crate) async fn usual_region(
     session: &Session,
     map: &str,
@@ -287,7 +287,7 @@ pub(crate) async fn usual_region(
     cells_between(session, map, (rectangle, z), true).await
 }
 
-/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, those that matter to a
+/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, the cells that matter to a
 /// robot.
 async fn cells_between(
     session: &Session,

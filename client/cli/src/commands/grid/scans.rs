@@ -1,7 +1,7 @@
 //! The scans of files, read on a thread of their own.
 //!
-//! Invariant: scans are in the order of their numbers, 1, 2, 3, ...; the memory for scans read ahead is bounded. A
-//! truncated file gives its complete scans, then the error.
+//! Invariant: scans are in the order of their numbers, 1, 2, 3, ...; the memory for scans that are read in advance is
+//! bounded. A truncated file gives its complete scans, then the error.
 
 mod plan;
 

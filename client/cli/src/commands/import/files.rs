@@ -106,7 +106,7 @@ impl RecordedFile {
         self.path.display().to_string()
     }
 
-    /// Reads the file. Of a file that is damaged behind its first message, what comes before the damage is read.
+    /// Reads the file. If a file is damaged after its first message, the messages before the damage are read.
     pub(super) fn read(&self, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
         let file = BufReader::with_capacity(BUFFER_BYTES, File::open(&self.path)?);
         let mut counting = Counting { sink, messages: 0 };

@@ -1,4 +1,4 @@
-//! Sends the observations of recordings. Those that the daemon already has are compared, not sent.
+//! Sends the observations of recordings. Observations that the daemon already has are compared, not sent.
 //!
 //! Invariant: nothing is sent before all observations that the daemon has are compared. Once it is durable, each counts
 //! as accepted or refused for its topic, unless an earlier run had sent it.

@@ -27,7 +27,7 @@ struct Seen {
     /// Rows at the time of the first.
     at_first: u64,
     has_two_values: bool,
-    /// Rows that were refused for a word that nobody knows.
+    /// Rows that were refused for an unknown word.
     unknown_words: u64,
 }
 

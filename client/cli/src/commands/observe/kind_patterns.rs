@@ -29,7 +29,7 @@ use crate::progress::status_line;
 /// Maximum number of states whose kinds are set by patterns.
 const STATES_MAX: usize = 10_000;
 
-/// A categorical state of as many labels as it has.
+/// A categorical state with any number of labels.
 const LABELLED: StateShape = StateShape::Categorical(0);
 
 /// Patterns of names with the kinds of the states that fit.
@@ -150,7 +150,7 @@ impl KindPlan {
         Ok(())
     }
 
-    /// A state that exists with another kind: its name, the kind that it should have and the one that it has.
+    /// A state that exists with another kind: its name, the kind that it should have and the kind that it has.
     fn other(&self, known: &HashMap<String, StateShape>) -> Option<(&str, StateShape, StateShape)> {
         self.0.iter().find_map(|(name, shape)| {
             let is_same = |found: &StateShape| found == shape || (*shape == LABELLED && found.name() == shape.name());

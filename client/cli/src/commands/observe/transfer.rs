@@ -1,6 +1,6 @@
 //! Sends the rows of a file. Rows that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once a row is durable, it counts as
 //! exactly one of accepted, duplicate and refused.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -281,7 +281,7 @@ impl<T: Sendable> RowTransfer<T> {
             self.refused += 1;
             self.wrong.insert(number);
             self.report.refused(number, Some(line), &wrong);
-            // A word that nobody knows.
+            // An unknown word.
             if let Some(row) = row.observation().filter(|_| wrong.contains("--values")) {
                 self.seen.see_unknown_word(row);
             }

@@ -80,7 +80,7 @@ impl<'a> Drawn<'a> {
         if self.plot.curves.len() > CURVES_MAX { self.strips(COLUMNS_MAX[1]).svg() } else { self.plot.svg() }
     }
 
-    /// A row for each state, in their order, and at most so many columns.
+    /// A row for each state, in their order, and at most `columns_max` columns.
     fn strips(&self, columns_max: usize) -> HeatMap {
         let step = self.times.len().div_ceil(columns_max).max(1);
         let mean = |values: &[Option<f64>]| {

@@ -1,6 +1,6 @@
 //! A recording of a robot with a 3-D scanner in a hall with pillars.
 //!
-//! Invariant: what the scanner sees follows from where the robot is at that time.
+//! Invariant: the points follow from the position of the robot at that time.
 
 use std::{
     f64::consts::{PI, TAU},

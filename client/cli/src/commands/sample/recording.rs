@@ -1,6 +1,6 @@
 //! A recording of a robot in a corridor with two doors.
 //!
-//! Invariant: what the scanner sees follows from the doors at that time.
+//! Invariant: the ranges follow from the doors at that time.
 
 use std::{
     f64::consts::TAU,

@@ -53,7 +53,7 @@ class Peer:
         self.node.destroy_node()
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
-        """A publisher that somebody listens to."""
+        """A publisher that has a subscriber."""
         made = self.node.create_publisher(kind, topic, qos)
         until(lambda: made.get_subscription_count() > 0, f"a subscription of {topic}")
         return made

@@ -78,7 +78,7 @@ def door_cells(grid: OccupancyGrid) -> np.ndarray:
 
 
 def corridor_learned(bench) -> int:
-    """The map `corridor`, made of two weeks in which the door was open from 8 to 18 o'clock; the number of scans."""
+    """The map `corridor`, made from two weeks in which the door was open from 8 to 18 o'clock; the number of scans."""
     program, told = command(), {**os.environ, "TIDEMAP_SERVER": bench.server}
     folder = bench.folder / "recording"
     subprocess.run([program, "sample", "recording", folder], check=True, capture_output=True)
