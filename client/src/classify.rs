@@ -16,7 +16,7 @@ pub use tidemap_proto::convert::classify::Learning;
 pub struct ClassifyRequest {
     /// The categorical state.
     pub state: String,
-    /// When it was observed, nanoseconds UTC; `None`: now.
+    /// The time of the observation, nanoseconds UTC; `None`: now.
     pub time_nanos: Option<i64>,
     /// Labels with the likelihood of the observation under each; labels that are not here have likelihood 0.
     pub likelihoods: Vec<(String, f64)>,
@@ -28,12 +28,12 @@ pub struct ClassifyRequest {
     pub learn: Option<LearnAs>,
 }
 
-/// How the map learns a classification: its form, producer, label and number.
+/// The way in which the map learns a classification: its form, producer, label and number.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LearnAs {
     /// The likeliest label, or the probabilities.
     pub what: Learning,
-    /// Who observes.
+    /// The name of the producer.
     pub producer: String,
     /// The label of the producer's sequence.
     pub label: String,

@@ -36,7 +36,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How a certificate begins.
+/// The begin of a certificate.
 const PEM_BEGIN: &[u8] = b"-----BEGIN CERTIFICATE-----";
 
 /// A gRPC channel that sends the token, and the read token of a map that daemons share.

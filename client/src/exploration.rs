@@ -100,9 +100,9 @@ pub struct DayQuery {
     pub date: String,
     /// Length of a slot, nanoseconds; a quarter of an hour by default.
     pub slot_nanos: Option<i64>,
-    /// How much is explored; a quarter of the slots by default.
+    /// The amount of exploration; a quarter of the slots by default.
     pub budget: Option<Budget>,
-    /// How slots are selected.
+    /// The strategy that selects slots.
     pub strategy: Strategy,
     /// Seed of the random choices.
     pub seed: u64,
@@ -110,7 +110,7 @@ pub struct DayQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: ModelSelector,
-    /// How the worth of an observation is measured; for viewpoints, tours and `exactly_one` only RA-L's gain, the
+    /// The measure of the worth of an observation; for viewpoints, tours and `exactly_one` only RA-L's gain, the
     /// default.
     pub information: InformationMeasure,
     /// Weight of exploration, in [0, 1]; the rest is the weight of the task.
@@ -138,7 +138,7 @@ pub struct DayTour {
     pub start_m: Option<[f64; 2]>,
 }
 
-/// How a location is selected for the current slot.
+/// The strategy that selects a location for the current slot.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum SlotStrategy {
     /// The most uncertain location.
@@ -162,7 +162,7 @@ pub struct SlotQuery {
     pub map: String,
     /// Middle of the slot, nanoseconds UTC.
     pub time_nanos: i64,
-    /// How the location is selected.
+    /// The strategy that selects the location.
     pub strategy: SlotStrategy,
     /// Locations to select from; empty: all.
     pub locations: Vec<String>,

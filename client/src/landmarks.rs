@@ -46,7 +46,7 @@ pub struct LandmarkAtTime {
     pub sightings: u64,
 }
 
-/// Which landmarks to remove.
+/// A selection of landmarks to remove.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LandmarkSelection {
     /// The landmarks of these names at a place.
@@ -62,12 +62,12 @@ pub enum LandmarkSelection {
     },
 }
 
-/// Where a robot may be.
+/// A request for the places where a robot may be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocaliseQuery {
     /// Name of the map.
     pub map: String,
-    /// When the image was taken, nanoseconds UTC.
+    /// The time of the image, nanoseconds UTC.
     pub time_nanos: i64,
     /// The features of the image, 2 to 10,000.
     pub features: Vec<ImageFeature>,
@@ -77,7 +77,7 @@ pub struct LocaliseQuery {
     pub nodes: Vec<String>,
 }
 
-/// How well an image agrees with a node.
+/// The agreement of an image with a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundNode {
     /// Name of the node.
@@ -88,7 +88,7 @@ pub struct FoundNode {
     pub matches: u32,
     /// Matches that agree about the heading.
     pub votes: u32,
-    /// How far the features are to the right of where the landmarks were, pixels; `None`: no vote.
+    /// The shift of the features to the right of the landmarks, pixels; `None`: no vote.
     pub heading_px: Option<f64>,
     /// Probability that the robot is there, if it is at one of the nodes.
     pub probability: f64,

@@ -41,9 +41,9 @@ pub struct NewMap {
     pub time_zone: Option<String>,
     /// Candidate periodicities; 168 harmonics of 7 days if absent.
     pub periodicities: Option<PeriodicityDefinition>,
-    /// How updates compare orders.
+    /// The criterion by which updates compare orders.
     pub order_criterion: OrderCriterion,
-    /// How long the exact observations of named states are kept; forever if absent.
+    /// The time for which the exact observations of named states are kept; forever if absent.
     pub retention: Option<Retention>,
     /// The occupancy grid; none if absent.
     pub grid: Option<GridSpec>,
@@ -84,9 +84,9 @@ pub struct Map {
     pub time_zone: String,
     /// Candidate periodicities.
     pub periodicities: PeriodicityDefinition,
-    /// How updates compare orders.
+    /// The criterion by which updates compare orders.
     pub order_criterion: OrderCriterion,
-    /// When it was created.
+    /// The time of creation.
     pub created_nanos: Option<i64>,
     /// Number of states.
     pub states: u64,
@@ -96,7 +96,7 @@ pub struct Map {
     pub pending_observations: u64,
     /// The last update.
     pub last_update: UpdateSummary,
-    /// How long the exact observations of named states are kept.
+    /// The time for which the exact observations of named states are kept.
     pub retention: Retention,
     /// The occupancy grid, if any.
     pub grid: Option<GridSpec>,
@@ -154,7 +154,7 @@ pub struct State {
     pub pending: u64,
     /// The sensor that reads it, if one was stated.
     pub sensor: Option<StateSensor>,
-    /// How it is reported, with its durations.
+    /// The reporting of the state, with its durations.
     pub reporting: StatedReporting,
     /// The labels of a categorical state, in order.
     pub labels: Vec<String>,

@@ -68,7 +68,7 @@ pub struct SearchQuery {
     pub object: String,
     /// Time limit of the walk, nanoseconds.
     pub budget_nanos: Option<i64>,
-    /// How to search for the best order.
+    /// The effort of the search for the best order.
     pub effort: Effort,
     /// Time limit of planning, nanoseconds.
     pub plan_within_nanos: Option<i64>,

@@ -23,12 +23,12 @@ use crate::{
     exploration::{DayQuery, DaySlot, day_request, day_slots},
 };
 
-/// How the tasks of a day are planned.
+/// The query of a plan for the tasks of a day.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TaskQuery {
     /// Name of the node where the robot is at first; `None`: the node of the charger.
     pub start_node: Option<String>,
-    /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
+    /// The time from which on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
     pub ready_nanos: Option<i64>,
     /// Whether the map keeps the plan.
     pub keep: bool,
@@ -161,7 +161,7 @@ impl Client {
         Ok(TaskReceipt { durable_sequence, refused: refused.into_iter().next().map(|refusal| refusal.detail) })
     }
 
-    /// How much the robots of a map work by themselves, week by week.
+    /// The autonomy of the robots of a map, week by week.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.

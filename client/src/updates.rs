@@ -112,7 +112,7 @@ pub struct Job {
     pub states_total: u64,
     /// Number of observations learned, or erased of states that were not erased as a whole.
     pub observations: u64,
-    /// When the job was created.
+    /// The time of creation of the job.
     pub created_nanos: Option<i64>,
     /// Running time so far.
     pub elapsed_nanos: i64,

@@ -123,7 +123,7 @@ impl ComparedSettings {
         Self { blend, ..self }
     }
 
-    /// How predictions are drawn towards the newest reading.
+    /// The blend that draws predictions towards the newest reading.
     pub fn blend(&self) -> ModelSelector {
         self.blend
     }

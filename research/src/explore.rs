@@ -88,7 +88,7 @@ pub struct StrategyResult {
     pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
-    /// How the strategy measures the worth of a visit.
+    /// The measure of the worth of a visit.
     pub worth: VisitWorth,
     /// The model.
     pub model: BeliefModel,

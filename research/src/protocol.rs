@@ -43,7 +43,7 @@ pub enum RowFormat {
     Pairs,
 }
 
-/// When models are trained again.
+/// The times at which models are trained again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Retrain {
     /// Once, on the training data.
@@ -91,7 +91,8 @@ pub struct TestFile {
     /// The name of the test set in results.
     pub label: String,
     pub path: PathBuf,
-    /// Whether it is a file of the training data, so that its errors are errors of models that have learned it.
+    /// Whether the test set is a file of the training data, so that its errors are errors of models that have learned
+    /// it.
     pub is_learned: bool,
 }
 
@@ -112,7 +113,7 @@ pub struct Protocol {
     pub train: Vec<PathBuf>,
     /// Test sets, at least one, in temporal order.
     pub test: Vec<TestFile>,
-    /// When models are trained again.
+    /// The times at which models are trained again.
     pub retrain: Retrain,
     /// The lead times of predictions. Empty: the trained models alone predict, without a newest reading.
     pub ahead: Vec<Ahead>,

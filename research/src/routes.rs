@@ -76,7 +76,7 @@ impl RoutesError {
 /// The course of a robot with all seeds.
 #[derive(Clone, Debug)]
 pub struct RobotCourse {
-    /// How the robot chooses its path.
+    /// The method by which the robot chooses its path.
     pub kind: RobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<Week>>,

@@ -63,7 +63,7 @@ impl TasksError {
 /// The course of a robot with all seeds.
 #[derive(Clone, Debug)]
 pub struct TaskCourse {
-    /// How the robot works.
+    /// The method by which the robot works.
     pub kind: TaskRobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<TaskFigures>>,

@@ -15,7 +15,7 @@ use tidemap_client::{
 use super::{Figures, latencies::Latencies};
 use tidemap_terminal::{failure::UsageError, progress::status_line};
 
-/// How long a new map may take until the other daemon holds it.
+/// The time limit until the other daemon holds a new map.
 const HELD_WITHIN: Duration = Duration::from_secs(60);
 const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(200);
 const STATE: &str = "door";

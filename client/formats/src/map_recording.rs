@@ -75,7 +75,7 @@ pub struct RecordingHead {
     pub about: BTreeMap<String, String>,
 }
 
-/// How many messages a recording has.
+/// The number of messages of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageCounts {
     /// Maps for ROS 2.
@@ -97,7 +97,7 @@ pub struct MapRecording<W: Write + Seek> {
     counts: MessageCounts,
 }
 
-/// How the messages of a topic are described.
+/// The description of the messages of a topic.
 struct Description {
     schema: &'static str,
     schema_encoding: &'static str,

@@ -192,7 +192,7 @@ impl MapPicture {
         })
     }
 
-    /// Who paints the cells.
+    /// The painter of the cells.
     pub(crate) fn painter(&self) -> Painter {
         match self.value {
             PictureValue::Probability => Painter::new(Layer::Probability, self.levels),

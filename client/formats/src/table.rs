@@ -19,7 +19,7 @@ pub use tidemap_map::name::printable;
 
 pub use times::{TimeStyle, offset_text};
 
-/// How results are written.
+/// The format of results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Aligned columns, for people.

@@ -86,7 +86,7 @@ impl<'a> Lines<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// Where the line is in the file, for an error.
+    /// The place of the line in the file, for an error.
     pub(crate) fn place(&self) -> FilePlace {
         FilePlace::Line(self.number)
     }

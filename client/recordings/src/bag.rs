@@ -68,7 +68,7 @@ pub(crate) fn other_version(bytes: &[u8]) -> Option<String> {
 
 struct BagReader<R> {
     source: ByteSource<R>,
-    /// Where the reading is, for the text of a file that is cut off.
+    /// The place of the reading, for the text of a file that is cut off.
     place: &'static str,
     header: Vec<u8>,
     data: Vec<u8>,

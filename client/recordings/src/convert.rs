@@ -24,7 +24,7 @@ use crate::{
 /// Maximum number of characters of a value in a message.
 const SHOWN_CHARS: usize = 80;
 
-/// Which clock gives the times of observations.
+/// The clock that gives the times of observations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Clock {
     /// The clock of the robot, which stamps messages; the recorder's clock for messages without a stamp.
@@ -117,11 +117,11 @@ pub enum Made {
         from: String,
         /// The node where it ends.
         to: String,
-        /// When the traversal began, nanoseconds since 1970; it ended at the time of the observation.
+        /// The start of the traversal, nanoseconds since 1970; it ended at the time of the observation.
         start_nanos: i64,
         /// Whether the robot arrived.
         success: bool,
-        /// How the traversal ended, if the robot did not arrive.
+        /// The reason of the end, if the robot did not arrive.
         reason: String,
     },
 }
@@ -169,7 +169,7 @@ impl From<KnownError> for NotMade {
     }
 }
 
-/// How messages become observations, apart from the plan.
+/// The options of the conversion of messages to observations, apart from the plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConvertOptions {
     /// The clock that gives the times.

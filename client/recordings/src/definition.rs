@@ -91,7 +91,7 @@ pub enum FieldType {
     Named(String),
 }
 
-/// How many values a field has.
+/// The number of values of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
     /// One.
@@ -109,7 +109,7 @@ pub struct FieldDefinition {
     pub name: String,
     /// Type of the field, or of its elements.
     pub field_type: FieldType,
-    /// How many values it has.
+    /// The number of its values.
     pub count: Count,
 }
 

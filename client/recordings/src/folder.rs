@@ -21,7 +21,7 @@ const VERSION_WITH_RELATIVE_NAMES: i64 = 4;
 /// The content of `metadata.yaml`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Folder {
-    /// How the files are stored, such as `sqlite3` or `mcap`.
+    /// The storage format of the files, such as `sqlite3` or `mcap`.
     pub storage: String,
     /// Names of the files within the folder, in the order of the recording.
     pub files: Vec<String>,

@@ -42,7 +42,7 @@ pub struct LaidField {
     pub name: String,
     /// The kind of its values.
     pub kind: Kind,
-    /// How many values it has.
+    /// The number of its values.
     pub count: Count,
 }
 

@@ -59,7 +59,7 @@ pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, Recording
 
 struct McapReader<R> {
     source: ByteSource<R>,
-    /// Where the reading is, for the text of a file that is cut off.
+    /// The place of the reading, for the text of a file that is cut off.
     place: &'static str,
     record: Vec<u8>,
     unpacked: Vec<u8>,

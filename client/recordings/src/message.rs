@@ -75,7 +75,7 @@ pub struct Numbers<'a> {
 }
 
 impl<'a> Numbers<'a> {
-    /// How many numbers.
+    /// The number of numbers.
     pub fn len(&self) -> usize {
         self.bytes.len() / self.primitive.bytes().unwrap_or(1)
     }

@@ -80,7 +80,7 @@ pub struct Plan {
     pub topics: Vec<TopicPlan>,
     /// The frame in which everything is placed; absent if nothing has to be placed.
     pub frame: Option<String>,
-    /// How the frame was chosen.
+    /// The reason for the choice of the frame.
     pub choice: FrameChoice,
 }
 

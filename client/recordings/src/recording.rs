@@ -48,7 +48,7 @@ pub struct Topic {
 pub struct RecordedMessage<'a> {
     /// Index of its topic among the topics that the reader has found, in the order in which it found them.
     pub topic: usize,
-    /// When it was recorded, nanoseconds since 1970.
+    /// The time of recording, nanoseconds since 1970.
     pub recorded_nanos: i64,
     /// The bytes of the message.
     pub data: &'a [u8],
@@ -74,7 +74,7 @@ pub trait Sink {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stopped;
 
-/// How a recording ended.
+/// The end of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ending {
     /// The file ends as its format requires.
@@ -111,12 +111,12 @@ pub enum RecordingError {
     TooLarge {
         /// The part, and where it is.
         what: String,
-        /// How many bytes the part has.
+        /// The size of the part, bytes.
         bytes: u64,
         /// The limit.
         max: usize,
     },
-    /// Who takes the messages wanted no more.
+    /// The receiver of the messages wanted no more.
     #[error("the reading was stopped")]
     Stopped,
 }

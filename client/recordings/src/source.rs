@@ -21,7 +21,7 @@ impl<R: Read> ByteSource<R> {
         Self { inner, buffer: vec![0; BUFFER_BYTES].into_boxed_slice(), start: 0, end: 0, position: 0 }
     }
 
-    /// How many bytes have been taken.
+    /// The number of bytes that have been taken.
     pub(crate) fn position(&self) -> u64 {
         self.position
     }

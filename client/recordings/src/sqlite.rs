@@ -163,7 +163,7 @@ impl<R: Read + Seek> Database<R> {
         (self.file_bytes, self.pages.saturating_mul(self.page_bytes as u64))
     }
 
-    /// How many bytes have been read.
+    /// The number of bytes that have been read.
     pub(crate) fn bytes_read(&self) -> u64 {
         self.pages_read.saturating_mul(self.page_bytes as u64)
     }
@@ -281,7 +281,7 @@ impl<R: Read + Seek> Database<R> {
 }
 
 impl Level {
-    /// Where the list of cells begins.
+    /// The offset of the list of cells.
     fn pointers(&self) -> usize {
         self.header + if self.page[self.header] == LEAF { 8 } else { 12 }
     }

@@ -49,7 +49,7 @@ pub struct TopicSurvey {
     pub type_name: String,
     /// Number of messages.
     pub messages: u64,
-    /// When they were recorded.
+    /// The times of recording of the messages.
     pub recorded: Option<TimeSpan>,
     /// The times for which they hold, if they have such times.
     pub stamps: Option<TimeSpan>,
@@ -73,7 +73,7 @@ impl TopicSurvey {
     }
 }
 
-/// How the messages of a topic are read.
+/// The reader of the messages of a topic.
 #[derive(Clone, Debug)]
 pub(crate) struct TopicReader {
     /// Index of the topic among the topics of the survey.

@@ -34,7 +34,7 @@ const DAY: i32 = 24 * HOUR;
 /// A change of a sensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SensorChange {
-    /// When, seconds since 1970 UTC.
+    /// The time, seconds since 1970 UTC.
     pub secs: i64,
     /// The wall clock of the home at that time, such as `2025-03-30 14:05:09`.
     pub local: String,
@@ -128,7 +128,7 @@ impl Home {
     }
 }
 
-/// When a thing is on, in seconds of the day.
+/// The times at which a thing is on, in seconds of the day.
 fn times(rng: &mut SmallRng, room: usize, thing: Thing, is_working_day: bool) -> Vec<(i32, i32)> {
     let shift = room as i32 * 7 * 60;
     let mut wanted = Vec::new();

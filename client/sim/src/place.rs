@@ -2,7 +2,7 @@
 //!
 //! Invariant: every state is seen from exactly one place.
 
-/// Where a person can be and where a robot stops.
+/// A place where a person can be or where a robot stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OfficePlace {
     /// Between the rooms, at the entrance.

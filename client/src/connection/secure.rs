@@ -34,7 +34,7 @@ use tonic::codegen::{Service, http::Uri};
 
 use crate::error::Error;
 
-/// How long the daemon may take from the first byte of the handshake to the first byte of HTTP/2.
+/// The time limit of the daemon from the first byte of the handshake to the first byte of HTTP/2.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(5);
 /// The frames with which HTTP/2 begins are shorter.
 const FIRST_BYTES: usize = 4096;

@@ -39,7 +39,7 @@ const QUEUED_BATCHES: usize = 2;
 /// Pause between two attempts to get a key that another stream holds.
 const KEY_PAUSE: Duration = Duration::from_millis(200);
 
-/// How a connection ended.
+/// The end of a connection.
 enum End {
     /// Try again.
     Broken(Error),

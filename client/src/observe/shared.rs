@@ -100,8 +100,9 @@ pub struct Progress {
     pub content_crc: u32,
     /// Id of the data folder of the daemon.
     pub store_id: String,
-    /// How often the daemon came back with another data folder, such as a restored backup or an empty disk. Data that
-    /// was acknowledged before may be missing there; for the data of this producer, [`ProducerError::Lost`] reports it.
+    /// The number of times that the daemon came back with another data folder, such as a restored backup or an empty
+    /// disk. Data that was acknowledged before may be missing there; for the data of this producer,
+    /// [`ProducerError::Lost`] reports it.
     pub store_changes: u64,
     /// Number of observations that became durable while the connection broke, so that refusals of them are unknown.
     pub unreported: u64,

@@ -44,7 +44,7 @@ pub struct EvaluateOptions {
     pub max_order: Option<u32>,
 }
 
-/// How well a model predicted a state.
+/// The errors of a model on a state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateEvaluation {
     /// Name of the state.

@@ -67,8 +67,8 @@ impl PredictionRun {
     }
 }
 
-/// By how much a time is later than the newest observation, in nanoseconds; 0 for a time before it, which observations
-/// on both sides describe.
+/// The time from the newest observation to a time, in nanoseconds; 0 for a time before the newest observation, because
+/// observations on both sides describe it.
 #[must_use]
 pub fn age_nanos(last_nanos: i64, at_nanos: i64) -> i64 {
     at_nanos.saturating_sub(last_nanos).max(0)

@@ -10,7 +10,7 @@ use tidemap_proto::{
 
 use crate::{connection::Client, error::Error};
 
-/// Which unusual observations to list.
+/// A request for unusual observations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurpriseQuery {
     /// Names of states; all states of the map if there are none.
@@ -19,7 +19,7 @@ pub struct SurpriseQuery {
     pub from_nanos: i64,
     /// Last instant, not included, nanoseconds UTC; a run counts if a part of it lies between both.
     pub to_nanos: i64,
-    /// How certain the model must have been of the contrary, 0.9 to 1.
+    /// The minimum certainty of the model that the contrary holds, 0.9 to 1.
     pub confidence: f64,
     /// Maximum number of runs, 1 to 10,000.
     pub top: u32,

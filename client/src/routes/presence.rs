@@ -71,7 +71,7 @@ pub struct JointQuery {
     pub model: ModelSelector,
 }
 
-/// When several states are likely to be 1 together.
+/// The next time at which several states are likely to be 1 together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
     /// The first time at which the product exceeds the threshold, nanoseconds UTC.

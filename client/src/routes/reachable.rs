@@ -1,4 +1,4 @@
-//! Which nodes a robot reaches from one node at one time.
+//! The nodes that a robot reaches from one node at one time.
 //!
 //! Invariant: a node of the answer has the best route of `PlanRoute`; a node without one has no route within the
 //! horizon.
@@ -27,7 +27,7 @@ pub struct ReachableQuery {
     pub speed_m_per_s: Option<f64>,
 }
 
-/// How a robot reaches a node by the route that is the least likely to fail.
+/// A node, with the route to it that is the least likely to fail.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReachableNode {
     /// Name of the node.

@@ -46,7 +46,7 @@ pub fn format_parser() -> impl TypedValueParser<Value = Format> {
     })
 }
 
-/// Where results go.
+/// The destination of results.
 pub type Stdout = BufWriter<Results<io::Stdout>>;
 
 /// Stdout, for results.

@@ -16,7 +16,7 @@ const ROUNDING: f64 = 1e-12;
 /// The slope of values over days.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DayTrend {
-    /// By how much a value changes in a day.
+    /// The change of a value in a day.
     pub slope: f64,
     /// The two-sided p-value.
     pub p_value: f64,

@@ -72,7 +72,7 @@ impl VisitStrategy {
     }
 }
 
-/// How strategies measure the worth of a visit.
+/// A measure of the worth of a visit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VisitWorth {
     /// The entropy of the prediction (RAS 2017, eq. 10).
@@ -114,7 +114,7 @@ pub(super) struct Explorer {
     pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
-    /// How the explorer measures the worth of a visit.
+    /// The measure of the worth of a visit.
     pub worth: VisitWorth,
     /// The model of the places.
     pub model: BeliefModel,

@@ -25,7 +25,7 @@ const ENDS_M: [[f64; 2]; 2] = [[2.5, 8.5], [37.5, 8.5]];
 /// The detour that avoiding one second near a person is worth, seconds.
 const ENCOUNTER_COST_SECS: f64 = 10.0;
 
-/// How a robot crosses the floor.
+/// The way in which a robot crosses the floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crossing {
     /// On the shortest way.

@@ -19,7 +19,7 @@ pub(super) struct Span {
     pub(super) probability: f64,
 }
 
-/// When a robot reads the state.
+/// The times at which a robot reads the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookPlan {
     /// Every half-hour, day and night.
@@ -43,7 +43,7 @@ pub struct Habit {
     pub(super) base: f64,
     /// The state keeps its value with a time constant of this many minutes, above 0, while its probability is the same.
     pub(super) keeps_minutes: f64,
-    /// When a robot reads the state.
+    /// The times at which a robot reads the state.
     pub(super) looks: LookPlan,
     /// The first and the last day that are predicted.
     pub(super) test: (Date, Date),

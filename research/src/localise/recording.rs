@@ -195,7 +195,7 @@ impl LandmarkRecording {
         self.landmarks.len()
     }
 
-    /// When a picture was taken, nanoseconds UTC.
+    /// The time of a picture, nanoseconds UTC.
     pub(super) fn time_nanos(&self, place: usize, month: usize) -> i64 {
         self.times_nanos[place][month]
     }

@@ -1,4 +1,4 @@
-//! Which landmarks are visible at a time: by a map, and by baselines.
+//! The visibility of landmarks at a time: by a map, and by baselines.
 //!
 //! Invariant: only the months that were not held out are used.
 
@@ -20,7 +20,7 @@ use crate::nightly_map::NightlyMap;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 const YEAR_NANOS: i64 = 365 * DAY_NANOS + DAY_NANOS / 4;
-/// How quickly the kernel over the season falls off.
+/// The rate at which the kernel over the season falls off.
 const SEASON_SHARPNESS: f64 = 1.5;
 
 /// The prediction for a landmark.

@@ -23,7 +23,7 @@ const TRUE_SUCCESS_MIN: f64 = 1e-6;
 /// Number of reports that the truth counts as; only intervals depend on it.
 const TRUE_EVIDENCE: f64 = 1e6;
 
-/// How a robot chooses its path.
+/// The method by which a robot chooses its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RobotKind {
     /// The shortest path, whatever happened there.

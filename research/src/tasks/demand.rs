@@ -17,7 +17,7 @@ const MINUTE: u32 = 60;
 const HOUR: u32 = 60 * MINUTE;
 /// Windows lie between these times of a day, in seconds: the robot may work then.
 pub(super) const WORKING_SECS: Range<u32> = 5 * HOUR..23 * HOUR;
-/// Where the robot charges.
+/// The node where the robot charges.
 const DOCK: &str = "dock";
 /// The robot charges for this long, once in each part of the day of this length.
 const CHARGE_SECS: u32 = 30 * MINUTE;

@@ -39,7 +39,7 @@ const STUCK_KEY: u64 = u64::MAX - 2;
 /// A plan is made anew when the robot is later than planned by more than this.
 const BEHIND_SECS: f64 = 60.0;
 
-/// How a robot works.
+/// The method by which a robot works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskRobotKind {
     /// First come, first served, on the shortest ways.
@@ -81,7 +81,7 @@ pub struct TaskFigures {
     pub done: u64,
     /// Tasks that were not done.
     pub missed: u64,
-    /// By how much tasks were ended after their windows, summed, seconds.
+    /// The time by which tasks ended after their windows, summed, seconds.
     pub late_secs: f64,
     /// The number of times that a person had to help.
     pub interventions: u64,

@@ -63,10 +63,10 @@ impl TerminalError {
     }
 }
 
-/// How often people used a robot, by seed and week, in each hour of its work.
+/// The number of uses of a robot, by seed and week, in each hour of its work.
 #[derive(Clone, Debug)]
 pub struct TerminalCourse {
-    /// How the terminal chooses its places.
+    /// The method by which the terminal chooses its places.
     pub kind: TerminalRobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<f64>>,

@@ -92,7 +92,7 @@ pub struct Session {
     pub client: Client,
     /// Format of the results.
     pub format: Format,
-    /// How tables show times.
+    /// The style of times in tables.
     pub times: TimeStyle,
 }
 
@@ -143,7 +143,7 @@ impl Session {
 /// The time limit for the request of a map's zone; without the zone, times are UTC.
 const ZONE_WITHIN: Duration = Duration::from_secs(2);
 
-/// How the tables of a command show times.
+/// The style of times in the tables of a command.
 async fn time_style(client: &Client, format: Format, time: TimeArg, subject: &Subject) -> TimeStyle {
     match (time, &subject.map) {
         (TimeArg::Unix, _) => TimeStyle::Unix,

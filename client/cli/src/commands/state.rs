@@ -54,7 +54,7 @@ pub(crate) enum StateCommand {
     },
 }
 
-/// How a state is reported, on the command line.
+/// The reporting of a state, on the command line.
 fn row_kind(text: &str) -> Result<RowKind, String> {
     let kind = RowKind::ALL.into_iter().find(|kind| kind.name() == text);
     kind.ok_or_else(|| format!("{text:?} is not a way to report: use samples, changes or events"))

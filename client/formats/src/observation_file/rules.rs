@@ -1,4 +1,4 @@
-//! How the rows of a file are read: its own columns, its own words, and times without a zone.
+//! The rules for reading the rows of a file: its own columns, its own words, and times without a zone.
 //!
 //! Invariant: without rules a file is read by its header, with UTC times; common words are known. A time in a zone is
 //! the instant that the order of rows allows.
@@ -23,7 +23,7 @@ pub enum Meaning {
     NoValue,
 }
 
-/// How the rows of a file are read.
+/// The rules for reading the rows of a file.
 #[derive(Clone, Debug, Default)]
 pub struct RowRules {
     /// Names of the columns in the file, in lower case: of time, state and value. `None`: the usual name.

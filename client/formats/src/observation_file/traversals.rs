@@ -19,7 +19,7 @@ pub struct TraversalRow {
     pub to: String,
     /// The action of the traversal; empty: the default action.
     pub action: String,
-    /// When the traversal started, nanoseconds UTC.
+    /// The start of the traversal, nanoseconds UTC.
     pub start_nanos: i64,
     /// The time of success or failure, nanoseconds UTC.
     pub end_nanos: i64,

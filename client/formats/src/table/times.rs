@@ -16,7 +16,7 @@ const LONGEST_CHANGE: i64 = 3 * 3_600 * SEC;
 /// 1 January 1970 was a Thursday.
 const WEEKDAYS: [&str; 7] = ["Thu", "Fri", "Sat", "Sun", "Mon", "Tue", "Wed"];
 
-/// How an aligned table shows times.
+/// The style of times in an aligned table.
 #[derive(Clone, Debug, Default)]
 pub enum TimeStyle {
     /// Unix seconds.

@@ -187,7 +187,7 @@ class Landmarks(Connection):
         part: tuple[float, float] | None = None,
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """Which landmarks of a place are visible at a time, the most probable first; at most ``count``, or all.
+        """The landmarks of a place that are visible at a time, the most probable first; at most ``count``, or all.
 
         ``part``: from and to, metres along an edge.
         """

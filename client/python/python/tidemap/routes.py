@@ -204,10 +204,11 @@ class Routes(Connection):
         return tables.of_tour(self.call("ExplorationService/PlanTour", asked, zone=zone))
 
     def day(self, map: str, date: Any, **request: Any) -> pandas.DataFrame:
-        """When to explore on a local day (``2026-01-05``) and where: ``slot, start, location, information_bits``.
+        """The slots in which to explore on a local day (``2026-01-05``), and the locations: ``slot, start, location,
+        information_bits``.
 
-        Where ``location`` is empty, the robot rests. How much is explored needs ``explore`` (slots) or ``ratio``,
-        fields of ``PlanDayRequest``; ``request`` has further ones.
+        Where ``location`` is empty, the robot rests. The amount of exploration is set by ``explore`` (slots) or
+        ``ratio``, fields of ``PlanDayRequest``; one of them is required; ``request`` has further fields.
         """
         tables.pandas_needed()
         asked = {"map": map, "date": str(date)[:10], **request}

@@ -139,7 +139,7 @@ class Tasks(Connection):
         return int(reply["durable_sequence"])
 
     def task_weeks(self, map: str, begin: str = "00:00", end: str = "24:00", weekdays: int = 0) -> pandas.DataFrame:
-        """How much the robots of a map work by themselves, a row a week: A % and TSL of IEEE RAM 2017, and counts."""
+        """The autonomy of the robots of a map, a row for each week: A % and TSL of IEEE RAM 2017, and counts."""
         tables.pandas_needed()
         hours = {"from_secs": _seconds(begin), "until_secs": _seconds(end), "weekdays": weekdays}
         return tables.frame(self.call("TaskService/ListTaskWeeks", {"map": map, **hours})["weeks"])

@@ -267,7 +267,7 @@ def from_clock(
 def _in_second_hour(
     local: Nanos, hour: Nanos, states: npt.NDArray[np.uint32] | None
 ) -> npt.NDArray[np.bool_]:
-    """Which rows of an hour that exists twice are of the second one.
+    """The rows of an hour that exists twice that belong to the second one.
 
     The second hour begins where the clock goes back by half of the repeated hour or more; else, for each state, where
     its clock goes back most, or stands still. If the clock of a state never does this, its rows belong to the second

@@ -178,7 +178,7 @@ pub enum ValueRule {
 /// Observations of states, from a field of a topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateRule {
-    /// Where the value is.
+    /// The place of the value.
     pub place: FieldPlace,
     /// Name of the state.
     pub state: Template,
@@ -186,7 +186,7 @@ pub struct StateRule {
     pub kind: ValueKind,
     /// The meaning of the messages.
     pub reports: Reports,
-    /// How a value is made.
+    /// The conversion to a value.
     pub value: ValueRule,
 }
 
@@ -291,7 +291,7 @@ impl StateRule {
 /// Observations of positions, from a field with x, y and z.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositionRule {
-    /// Where the point or the pose is.
+    /// The place of the point or the pose.
     pub place: FieldPlace,
     /// Name of the vector.
     pub state: Template,

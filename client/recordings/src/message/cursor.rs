@@ -9,7 +9,7 @@ use crate::definition::Primitive;
 pub(super) struct MessageCursor<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where alignment counts from, and the largest alignment; `None`: values are packed, as in ROS 1.
+    /// The position from which alignment counts, and the largest alignment; `None`: values are packed, as in ROS 1.
     alignment: Option<(usize, usize)>,
     is_big_endian: bool,
     values: usize,

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use super::{GridUse, PlanError, TopicPlan, has_moving_link};
 use crate::survey::{Surveyed, TopicSurvey};
 
-/// How the frame was chosen.
+/// The reason for the choice of the frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameChoice {
     /// The user chose it.

@@ -54,7 +54,7 @@ impl TableRow {
         self.overflow
     }
 
-    /// How many bytes stand in other pages; `None` if that is more than memory can hold.
+    /// The number of bytes that stand in other pages; `None` if that is more than memory can hold.
     pub(super) fn missing(&self) -> Option<usize> {
         usize::try_from(self.stated.saturating_sub(self.bytes.len() as u64)).ok()
     }

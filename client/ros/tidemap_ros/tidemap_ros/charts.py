@@ -153,7 +153,7 @@ class Charts:
         return arrays.percents(self.values(nanos, output))
 
     def people(self, nanos: int) -> Floats:
-        """How many people are expected in each cell of the region in the hour around a time."""
+        """The expected number of people in each cell of the region in the hour around a time."""
         region = self.region
         low = region.corner_m
         high = low[0] + region.width * region.resolution_m, low[1] + region.height * region.resolution_m

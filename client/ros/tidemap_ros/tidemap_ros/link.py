@@ -34,7 +34,7 @@ class Link:
 
     @property
     def producer_name(self) -> str:
-        """Who observes."""
+        """The name of the producer."""
         return self._settings.text("producer") or socket.gethostname()
 
     def ensure_map(self) -> None:

@@ -134,5 +134,5 @@ def decoded(raw: bytes) -> Record:
 
 
 def time_of(record: Record) -> int:
-    """When the robot saw it, nanoseconds since 1970."""
+    """The observation time of a record, nanoseconds since 1970."""
     return record.start_nanos if isinstance(record, Traversal) else record.time_nanos

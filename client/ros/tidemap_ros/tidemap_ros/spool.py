@@ -52,7 +52,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class Position:
-    """Where a record begins."""
+    """The begin of a record."""
 
     number: int
     segment_first: int

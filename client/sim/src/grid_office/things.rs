@@ -57,7 +57,7 @@ const DAYLIGHT_EDGES: u32 = 40;
 /// A room by its index, and which of several places in it.
 type RoomSpot = (usize, u32);
 
-/// Where the bits of a cell are: slot, word, and the bit in it.
+/// The place of the bits of a cell: slot, word, and the bit in it.
 pub(crate) fn locate(address: u32) -> (usize, usize, u64) {
     let cell = address % TILE_CELLS;
     ((address / TILE_CELLS) as usize, (cell / 64) as usize, 1 << (cell % 64))
@@ -124,7 +124,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Where a kind of thing can be.
+    /// The possible places of a kind of thing.
     fn sites(&self, kind: ThingKind, rooms: &[FloorRoom]) -> Vec<RoomSpot> {
         let places = match kind {
             ThingKind::Belongings => return self.desks.clone(),

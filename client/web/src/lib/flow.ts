@@ -45,7 +45,7 @@ export interface FlowArrow {
     share: number;
 }
 
-/** How a flow is drawn. */
+/** The parameters of drawing a flow. */
 export interface FlowLayer {
     flow: Flow;
     /** The number of detections that has the darkest shade. */

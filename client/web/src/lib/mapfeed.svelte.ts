@@ -38,7 +38,7 @@ export function newestTime(states: { lastTime?: { seconds: bigint; nanos: number
 /** Rows that came this recently mean that more will come. */
 const LIVE_MS = HOUR;
 
-/** Up to when a map can be known: now while data come, else the time of the newest. */
+/** The time up to which a map can be known: now while data come, else the time of the newest observation. */
 export function horizonOf(newest: number | undefined, now = Date.now()): number {
     return newest !== undefined && now - newest < LIVE_MS ? now : (newest ?? 0);
 }

@@ -80,9 +80,9 @@ export function reportedText(reported: Reported | undefined): string {
 /** The newest row of a state, milliseconds. */
 export interface LastReport {
     row: number;
-    /** Up to when its value is known to hold. */
+    /** The time up to which its value is known to hold. */
     until: number;
-    /** Up to when the map is known. */
+    /** The time up to which the map is known. */
     newest: number;
     /** Whether the row has a value, if this was requested. */
     hasValue?: boolean | undefined;
@@ -175,7 +175,7 @@ export async function observed(map: string, state: string, from: number, to: num
     return rows;
 }
 
-/** From when to when the value of each row of changes holds. `until`: nothing is known from then on. */
+/** The times between which the value of each row of changes holds. `until`: nothing is known from then on. */
 function held(rows: Rows, { holdMs }: Reported, until: number): Piece[] {
     const pieces: Piece[] = [];
     for (const [index, from] of rows.times.entries()) {

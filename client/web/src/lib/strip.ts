@@ -15,7 +15,7 @@ const HOURS = 24;
 export interface Strip {
     /** The midnights of the days, the oldest first. */
     days: number[];
-    /** When the hours of the days begin. */
+    /** The begins of the hours of the days. */
     starts: number[];
     /** The values of each hour of each day; `undefined` where the clock leaves it out, or nothing was observed. */
     predicted: (number | undefined)[];

@@ -66,7 +66,7 @@ async function hoursSeen(map: string, states: string[], { starts, end }: Columns
 
 interface Predicted {
     values: number[][];
-    /** Up to when each state is known, milliseconds. */
+    /** The time up to which each state is known, milliseconds. */
     untils: number[];
 }
 

@@ -42,7 +42,7 @@ export interface Week {
     /** The time up to which observations are known, at most the end of the week, milliseconds. */
     knownUntil: number;
     observations: number;
-    /** By which model; only known for a single state. */
+    /** The model; only known for a single state. */
     model: DescribeModelResponse | undefined;
     isProbability: boolean;
 }

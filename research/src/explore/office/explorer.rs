@@ -45,7 +45,7 @@ const TILES_MAX: usize = 1 << 20;
 /// Distance from 0.5 of the probability of cells not seen in this round: almost unknown, on the side of the last value.
 const UNSURE: f32 = 0.01;
 
-/// How an explorer predicts and schedules.
+/// The method by which an explorer predicts and schedules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExplorerKind {
     /// By the last map, at regular times.
@@ -101,7 +101,7 @@ pub(super) struct Findings {
 
 /// An explorer with its map.
 pub(super) struct Explorer {
-    /// How the explorer predicts and schedules.
+    /// The method by which the explorer predicts and schedules.
     pub kind: ExplorerKind,
     map: LiveMap,
     view: MapView,

@@ -33,7 +33,7 @@ const EXPLORATION: f64 = 0.1;
 const UNIFORM: u64 = 11;
 const TIES: u64 = 12;
 
-/// How a terminal chooses its places.
+/// The method by which a terminal chooses its places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TerminalRobotKind {
     /// A random place in each slot.

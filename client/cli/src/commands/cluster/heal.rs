@@ -21,7 +21,7 @@ use super::{
 };
 use crate::progress::status_line;
 
-/// How long a member may take to follow the map.
+/// The time limit for a member to follow the map.
 const FOLLOW_WITHIN: Duration = Duration::from_secs(10);
 const POLL: Duration = Duration::from_millis(100);
 

@@ -16,7 +16,7 @@ use tidemap_client::{
 };
 use tidemap_proto::v1::{self, forked_observation::Content};
 
-/// How long the map may be without a writer meanwhile.
+/// The longest time for which the map may be without a writer meanwhile.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// The result of taking in a fork.
 #[derive(Debug, Default)]

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use tidemap_client::{Client, connection::Credentials};
 use tidemap_proto::v1;
 
-/// How long a daemon may take to answer.
+/// The time limit for the reply of a daemon.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 
 /// The replies of the daemons of a cluster.

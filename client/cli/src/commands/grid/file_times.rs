@@ -1,4 +1,4 @@
-//! When each file of scans was made: `--at` and `--every`, the names of the files, or a list.
+//! The times of files of scans: `--at` and `--every`, the names of the files, or a list.
 //!
 //! Invariant: every file has a time, or the command ends before anything is sent; only a file whose local time does not
 //! exist is left out. A time without a zone is read only with a word of the user's, `--local` or `--utc`.

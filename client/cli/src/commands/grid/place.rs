@@ -83,7 +83,7 @@ impl FromStr for Rectangle {
     }
 }
 
-/// Where a cell begins along an axis, metres: without the rounding error of the sum, so that -15.2 stays -15.2.
+/// The lower bound of a cell along an axis, metres: without the rounding error of the sum, so that -15.2 stays -15.2.
 pub(crate) fn corner_m(origin_m: f64, cell: i32, resolution_m: f64) -> f64 {
     const NANOMETRES: f64 = 1e9;
     let sum = origin_m + f64::from(cell) * resolution_m;

@@ -83,7 +83,7 @@ pub(crate) struct GridPredictArgs {
     scale: Option<ScaleArg>,
 }
 
-/// How large a cell is drawn.
+/// The scale at which cells are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct ScaleArg(Option<u32>);
 

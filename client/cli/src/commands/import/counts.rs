@@ -1,4 +1,4 @@
-//! How many observations of each topic were accepted, skipped and refused, and why.
+//! The numbers of observations of each topic that were accepted, skipped and refused, and the reasons.
 //!
 //! Invariant: reasons are counted, not kept one by one; their number is bounded.
 

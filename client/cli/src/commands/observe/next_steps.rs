@@ -11,7 +11,7 @@ use super::{super::shell_word::quoted, base_name};
 /// The options of a file, each with a blank before it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FileWords {
-    /// How the file is read, and how its states are reported.
+    /// The options for reading the file, and for the reporting of its states.
     pub(crate) words: String,
     /// The kinds of its states.
     pub(crate) kinds: String,

@@ -141,7 +141,7 @@ pub(crate) async fn ended(transfer: &mut impl Transfer, end: TransferEnd) -> Tra
     }
 }
 
-/// How a transfer of rows or scans ended.
+/// The end of a transfer of rows or scans.
 pub(crate) enum TransferEnd {
     /// Everything is durable.
     Whole,

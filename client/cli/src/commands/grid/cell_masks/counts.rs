@@ -19,13 +19,13 @@ pub(crate) struct CellCounts {
     pub(super) as_free: u64,
     /// Cells with a probability between free and occupied that count as occupied.
     pub(super) as_occupied: u64,
-    /// From which probability on.
+    /// The probability from which on cells count as occupied.
     pub(super) from: Option<f64>,
     /// Cells of the grid's size that lie outside of the grid.
     pub(super) outside: u64,
     /// Pixels of value 205 that count as free.
     pub(super) free_205: u64,
-    /// By which threshold.
+    /// The threshold of free cells.
     pub(super) free_thresh: Option<f64>,
 }
 

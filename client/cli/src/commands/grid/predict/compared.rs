@@ -82,7 +82,7 @@ pub(super) async fn run(
     }
 }
 
-/// How many cells differ between two times.
+/// The number of cells that differ between two times.
 fn changed(before: &MapPicture, after: &MapPicture, [from, to]: [&str; 2]) -> String {
     let differences = before.cells.iter().zip(&after.cells).filter_map(|(before, after)| before.difference(*after));
     let (mut fuller, mut freer) = (0_u64, 0_u64);
