@@ -4,8 +4,8 @@
 //
 // With a pause it observes slowly, so that the daemon can be stopped and started meanwhile.
 //
-// Invariant: an observation is kept until the daemon has acknowledged it. After a broken connection the stream goes on
-// behind what the daemon has, so that each observation counts once.
+// Invariant: an observation is kept until the daemon has acknowledged it. After a broken connection the stream
+// continues after the last observation that the daemon has, so that each observation counts once.
 
 #include <grpcpp/grpcpp.h>
 

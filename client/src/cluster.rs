@@ -1,6 +1,6 @@
 //! Clusters: their members and maps as one daemon sees them, and the operations on them.
 //!
-//! Invariant: each call is answered by the daemon that this client is of, for itself. Answers are messages of the wire.
+//! Invariant: each call is answered by the daemon of this client, for itself. Replies are messages of the wire.
 
 pub use tidemap_proto::v1::read_fork_response::Part as ForkPart;
 use tidemap_proto::v1::{self, cluster_service_client::ClusterServiceClient};

@@ -121,8 +121,8 @@ pub struct DayQuery {
     pub viewpoints: Vec<Viewpoint>,
     /// The sensor of the robot at the viewpoints.
     pub sensor: Sensor,
-    /// The locations hold one person or object, which is at exactly one of them at any time: a model of all of them
-    /// predicts. Not with another model, viewpoints, tours or tasks.
+    /// The locations hold one person or object, which is at exactly one of them at any time: one model of all locations
+    /// predicts. This is not possible with another model, viewpoints, tours or tasks.
     pub exactly_one: bool,
     /// Instead of locations or viewpoints: a tour in every slot. The value of a slot is the expected information gain
     /// of its tour; the plan calls it `tour`.

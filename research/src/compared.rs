@@ -117,7 +117,7 @@ impl ComparedSettings {
         Ok(Self { shown: shown.join(" "), settings, blend: ModelSelector::default() })
     }
 
-    /// These settings with predictions that are drawn towards the newest reading as `blend` does it.
+    /// These settings, with predictions that `blend` draws towards the newest reading.
     #[must_use]
     pub fn blended(self, blend: ModelSelector) -> Self {
         Self { blend, ..self }

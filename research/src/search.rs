@@ -13,8 +13,8 @@
 //! Parameters are tuned on the mean time until the person is found in the folds, or on the log loss of the person's
 //! place there, each predicted from the data before it.
 //!
-//! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and
-//! the same files give the same figures for any number of threads.
+//! Invariant: no prediction uses its own minute or later ones, parameters are tuned on training days only, and the same
+//! files give the same figures for any number of threads.
 
 use std::{
     ops::Range,

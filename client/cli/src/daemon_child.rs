@@ -1,7 +1,7 @@
 //! The rules for this program when a daemon runs it to import a recording that was sent to the daemon.
 //!
-//! Invariant: the program ends when the daemon does, however that ends, and takes the processor only when others leave
-//! it.
+//! Invariant: the program ends when the daemon ends in any way, and uses the processor only when other processes leave
+//! it idle.
 
 use std::env;
 

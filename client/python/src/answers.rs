@@ -11,8 +11,8 @@ use crate::{client::NativeClient, failure, observe::Columns, rpc::model_named, w
 /// Rows of an answer.
 type Dicts<'py> = Vec<Bound<'py, PyDict>>;
 
-/// Compares models with observations, which are not learned: a row for each state, model and order, and what could not
-/// be compared.
+/// Compares models with observations, which are not learned: a row for each state, model and order, and the states that
+/// could not be compared.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "Python names them")]
 pub(crate) fn evaluate<'py>(

@@ -1,4 +1,4 @@
-//! The connection to a daemon, and its questions with many numbers: these go as arrays, all others as JSON.
+//! The connection to a daemon, and its requests with many numbers: these are passed as arrays, all others as JSON.
 //!
 //! Invariant: arrays have one row for each state and one column for each time, in the order of the request.
 
@@ -106,7 +106,7 @@ type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>)
 pub(crate) struct NativeClient {
     server: String,
     credentials: Credentials,
-    // Taken with the interpreter's lock alone, so that a child of a fork never finds it held.
+    // This lock is taken only with the interpreter's lock, so that a child of a fork never finds it held.
     held: Mutex<Held>,
 }
 

@@ -135,7 +135,7 @@ impl NativeModel {
         slf
     }
 
-    /// The rhythms that predict, the strongest first; `None` of other models than the spectral one.
+    /// The rhythms that predict, the strongest first; `None` for other models than the spectral one.
     fn rhythms(&self) -> Option<Rhythms> {
         match &self.model {
             TrainedModel::Spectral(model) => Some((model.mean(), model.rhythms())),

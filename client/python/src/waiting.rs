@@ -42,7 +42,8 @@ static RUNTIME: Mutex<Option<(Maker, &'static Runtime)>> = Mutex::new(None);
 
 /// The runtime of all clients of the process.
 pub(crate) fn runtime() -> PyResult<&'static Runtime> {
-    // Held with the interpreter's lock, which a fork by Python has as well: no child finds it held.
+    // This lock is held only with the interpreter's lock. A fork by Python holds the interpreter's lock, too, so that
+    // no child finds this lock held.
     let mut held = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((maker, runtime)) = *held
         && maker == Maker::here()

@@ -206,7 +206,8 @@ impl Converter {
         self.connections.clear();
     }
 
-    /// Takes a topic of the file, as [`crate::recording::Sink::topic`]. Returns whether its messages become anything.
+    /// Takes a topic of the file, like [`crate::recording::Sink::topic`]. Returns whether its messages become
+    /// observations.
     pub fn topic(&mut self, topic: &Topic) -> bool {
         let (index, _) = self.table.index(topic);
         self.connections.push(connection(topic, index));

@@ -1,6 +1,6 @@
 //! The mapping: the user's choice of the observations to make of the topics of a recording, as a YAML file.
 //!
-//! Invariant: a mapping that was read has paths, names and kinds that can be; whether a recording has its topics and
+//! Invariant: a mapping that was read has possible paths, names and kinds; whether a recording has its topics and
 //! fields is checked when a plan is made.
 
 mod rule;

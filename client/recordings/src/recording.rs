@@ -23,7 +23,7 @@ pub enum Encoding {
     Ros1,
     /// CDR, as ROS 2 lays them out.
     Cdr,
-    /// Another one, by the name that the recording gives it. Its messages are counted, not read.
+    /// Another layout, by the name that the recording gives it. Its messages are counted, not read.
     Other(String),
 }
 
@@ -39,7 +39,7 @@ pub struct Topic {
     /// Definition of its messages in the language of `.msg` files, with the definitions of the types inside behind
     /// lines of `=`; empty if the recording has none.
     pub definition: String,
-    /// Whether the topic is latched, or transient local: its last message holds for who comes later.
+    /// Whether the topic is latched, or transient local: its last message holds for late subscribers.
     pub is_latched: bool,
 }
 

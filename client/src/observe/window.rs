@@ -61,8 +61,8 @@ pub struct Window {
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
-    /// Indices of single values, of vectors by number of coordinates, and of labels: a name that means several has
-    /// several.
+    /// Indices of single values, of vectors by number of coordinates, and of labels: a name with several meanings has
+    /// several indices.
     indices: [HashMap<Box<str>, u32>; 4],
     /// Tiles after the last pushed scan.
     tiles: TileTable,

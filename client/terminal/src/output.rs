@@ -66,7 +66,7 @@ pub fn print(text: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// A text as a terminal may show it: all but line ends and tabulators that is not printable is escaped.
+/// A text as a terminal may show it: unprintable characters except line ends and tabulators are escaped.
 pub fn for_terminal(text: &str) -> Cow<'_, str> {
     if !text.contains(['\n', '\t']) {
         return printable(text);
@@ -94,7 +94,7 @@ impl<W: Write> Write for Results<W> {
             return self.writer.write(bytes);
         }
         self.cut.extend_from_slice(bytes);
-        // A character has at most four bytes; what cannot begin one is shown as the replacement character.
+        // A character has at most four bytes; a byte that cannot begin one is shown as the replacement character.
         let whole = match std::str::from_utf8(&self.cut) {
             Err(error) if error.error_len().is_none() => error.valid_up_to(),
             _ => self.cut.len(),

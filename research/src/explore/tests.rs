@@ -137,7 +137,7 @@ fn of_a_regular_life_all_but_the_surprise_is_learned() {
     let late = |plan, model| error(&outcome, plan, model, 21..28);
     // If a person is in no place for most of the time, the mean predicts that no one is anywhere.
     assert!(late(VisitStrategy::RoundRobin, "mean") > 15.0);
-    // In turn, each place is seen at the same times every day, and what happens at others stays unknown.
+    // In turn, each place is seen at the same times every day, and events at other times stay unknown.
     assert!(late(VisitStrategy::RoundRobin, "presence") > 10.0);
     let best = late(VisitStrategy::OnlineError, "presence");
     assert!(best < 5.0, "{best}");
@@ -149,7 +149,7 @@ fn of_a_regular_life_all_but_the_surprise_is_learned() {
 
 #[test]
 fn nothing_is_known_before_it_is_seen() {
-    // Without a visit a state is not believed to be on: one place of four is wrong in every minute, forever.
+    // Without a visit a state is not predicted to be on: one place of four is wrong in every minute, forever.
     let text = PROTOCOL.replace("exploration: 0.25", "exploration: 0");
     let outcome = explore(&regular(21), &protocol(&text), &|_, _| ()).unwrap();
     for result in &outcome.results {

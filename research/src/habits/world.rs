@@ -1,6 +1,7 @@
 //! A state with a habit: its hidden values, and the readings of a robot.
 //!
-//! The hidden state is a chain of two values that relaxes to the habit's probability, and jumps where that jumps.
+//! The hidden state is a chain of two values that relaxes to the habit's probability, and jumps where the probability
+//! jumps.
 //!
 //! Invariant: equal habits and seeds give equal worlds; readings are in the order of their times.
 

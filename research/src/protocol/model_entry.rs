@@ -1,7 +1,7 @@
 //! The models of a protocol, each with the parameter sets that its lists of values span.
 //!
 //! A name may end in a suffix that draws predictions to the newest reading, as on the command line (`spectral+memory`);
-//! which suffixes there are is the selector's matter ([`ModelSelector`]).
+//! [`ModelSelector`] defines the suffixes.
 //!
 //! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
 //! the lists; the last parameter changes fastest.

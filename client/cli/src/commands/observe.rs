@@ -379,7 +379,8 @@ pub(super) fn exit_code(
     }
 }
 
-/// A label that the options' producer has not used, for another file that has theirs by default.
+/// A label that the producer of the options has not used, for another file that would have the label of the options by
+/// default.
 pub(super) async fn free_label(session: &Session, options: &ProducerOptions) -> String {
     // Without the list, the next one is a good guess.
     let known = session.client.producers(&options.map).await.unwrap_or_default();

@@ -1,6 +1,6 @@
 //! Heat maps: values in rows and columns, the first row at the top.
 //!
-//! Invariant: a cell without a value is blank as text and grey as SVG, which no value is.
+//! Invariant: a cell without a value is blank as text and grey as SVG, a colour that no value has.
 
 use std::{f64::consts::TAU, fmt::Write as _};
 

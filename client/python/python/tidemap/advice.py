@@ -83,7 +83,7 @@ def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) ->
 
 
 def of_refused_before(rows: frames.Rows, states: list[dict[str, Any]]) -> None:
-    """Warns of rows that were sent before and of which the map has nothing: they were refused then, or erased since."""
+    """Warns of rows that were sent before but are not in the map: they were refused then, or erased since."""
     known = {state["name"] for state in states}
     absent = [name for name in rows.names if name not in known and "/" not in name]
     if absent:

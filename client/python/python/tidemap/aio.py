@@ -196,7 +196,7 @@ class AsyncClient:
         return AsyncStream(self, lambda: self.client.stream(method, request, zone=zone))
 
     def producer(self, map: str, producer: str = "python", label: str = "live", **options: Any) -> AsyncProducer:
-        """A producer that stays open, for ``async with``; arguments as of :meth:`tidemap.Client.producer`."""
+        """A producer that stays open, for ``async with``; arguments as in :meth:`tidemap.Client.producer`."""
         return AsyncProducer(self, lambda: self.client.producer(map, producer, label, **options))
 
     def watch_anomalies(self, map: str, **request: Any) -> AsyncStream:
@@ -205,7 +205,7 @@ class AsyncClient:
 
 
 async def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> AsyncClient:
-    """A client of the daemon at ``server``, checked; arguments as of :func:`tidemap.connect`."""
+    """A client of the daemon at ``server``, checked; arguments as in :func:`tidemap.connect`."""
     client = AsyncClient(Client(server, **credentials))
     client._is_own = True
     await client.maps()

@@ -82,10 +82,10 @@ class Client(Questions, Routes, Landmarks, Tasks):
         """Adds a state before its first observation; the same again changes nothing.
 
         ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) ``angle``, or
-        ``categorical`` (with 2 to 64 ``labels``); by default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
-        :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the
-        probability that it reads 1 when the state is 1, and when it is 0. Without them the daemon estimates how often
-        the sensor errs.
+        ``categorical`` (with 2 to 64 ``labels``); by default ``probability``, and for events ``count``. ``reports``,
+        ``hold_max`` and ``hold_step`` as in :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the
+        sensor of a state that is 0 or 1: the probability that it reads 1 when the state is 1, and when it is 0. Without
+        them the daemon estimates how often the sensor errs.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         if kind is None:
@@ -230,7 +230,7 @@ class Client(Questions, Routes, Landmarks, Tasks):
         hold_step: Duration | None = None,
         patience_secs: float = 60.0,
     ) -> Producer:
-        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as of :meth:`observe`.
+        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as in :meth:`observe`.
 
         If the daemon cannot be reached, the producer tries again for ``patience_secs`` before it gives up.
         """

@@ -1,4 +1,4 @@
-"""The connection to a daemon: any RPC by its name, and times as the map of a request means them.
+"""The connection to a daemon: any RPC by its name, and times in the zone of the map of a request.
 
 Invariant: a time without a zone is never taken for UTC unless the map is in UTC or the user states it. A pickle holds
 no secret, and no open connection.

@@ -32,7 +32,8 @@ _NAMED = 5
 
 
 LABELS = "labels"
-"""In the place of how rows are reported: values are labels of categorical states, and each name is ``STATE/LABEL``."""
+"""A value in place of the kind of reporting: values are labels of categorical states, and each name is
+``STATE/LABEL``."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,7 @@ def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]
 
 
 def of_arrays(states: Any, times: Any, values: Any, reports: str = "samples") -> Rows:
-    """Rows of columns; ``values`` of positions have two axes. Events without values are one each."""
+    """Rows of columns; ``values`` of positions have two axes. An event without a value counts as one."""
     given = times if isinstance(times, _times.Read) else _times.read(times)
     names, indices = numbered(states, len(given.nanos))
     if values is None and reports == "events":

@@ -214,7 +214,7 @@ class Landmarks(Connection):
     ) -> pandas.DataFrame:
         """The nodes at which a robot with these image features may be, the best first.
 
-        ``positions`` and ``descriptors`` as of :meth:`add_landmarks`. ``count``: landmarks of each node to compare.
+        ``positions`` and ``descriptors`` as in :meth:`add_landmarks`. ``count``: landmarks of each node to compare.
         ``nodes``: where the robot may be. The columns are ``node, landmarks, matches, votes, heading_px, probability``.
         """
         tables.pandas_needed()

@@ -118,7 +118,7 @@ class Producer:
     ) -> int:
         """Takes a point cloud, rows x, y, z in metres in the frame of the sensor at ``pose`` in the map.
 
-        Points that are not finite or nearer than ``min_range_m`` are ignored; farther ones than ``max_range_m`` only
+        Points that are not finite or nearer than ``min_range_m`` are ignored; points farther than ``max_range_m`` only
         show that the way is free up to it (0: the limit of the daemon). Returns its number.
         """
         points = np.ascontiguousarray(xyz_m, dtype=np.float32)

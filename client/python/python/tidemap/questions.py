@@ -81,7 +81,8 @@ class Questions(Connection):
         interval: float | None = None,
         zone: str | None = None,
     ) -> Predictions:
-        """Predicts states at times: those named, those like ``door*``, or without ``states`` all.
+        """Predicts states at times: the named states, states that match patterns like ``door*``, or without ``states``
+        all states.
 
         A categorical state has a row for each label, ``STATE/LABEL``; they sum to 1, and their entropy is the entropy
         of the distribution.
@@ -258,9 +259,9 @@ class Questions(Connection):
         """The unusual observations.
 
         Over all states, or several: runs of observations, judged before they were learned, the most surprising first,
-        with ``from, to, state, observations, surprise_bits, above, value, probability``. Of one state by its name: each
-        reading that the model of today does not expect, with ``time, value, probability``; ``request`` then has fields
-        of ``FindAnomaliesRequest``, such as ``model``.
+        with ``from, to, state, observations, surprise_bits, above, value, probability``. For one state, given by its
+        name: each reading that the model of today does not expect, with ``time, value, probability``; ``request`` then
+        has fields of ``FindAnomaliesRequest``, such as ``model``.
         """
         tables.pandas_needed()
         begin, end = self._span(map, from_time, to_time, zone)

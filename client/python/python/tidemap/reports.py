@@ -107,7 +107,8 @@ def of_state(state: dict[str, Any]) -> Stated:
 
 
 def check(stated: Stated, names: Iterable[str], states: list[dict[str, Any]]) -> None:
-    """Refuses rows of states that exist and are reported otherwise: sent, they would be refused and use up numbers."""
+    """Refuses rows of states that exist with another reporting: if they were sent, they would be refused and use up
+    numbers."""
     wanted = set(names)
     others = [(state["name"], of_state(state)) for state in states if state["name"] in wanted]
     others = [(name, found) for name, found in others if not stated.is_true_of(found)]

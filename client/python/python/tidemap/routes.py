@@ -144,7 +144,8 @@ class Routes(Connection):
         zone: str | None = None,
         **request: Any,
     ) -> pandas.DataFrame:
-        """The way from a node to another one: a row an edge, with ``route`` 0 for the best and more for alternatives.
+        """The way from a node to another one: a row for each edge, with ``route`` 0 for the best and more for
+        alternatives.
 
         The robot leaves at ``depart``, or arrives by ``arrive_by``. ``attrs["routes"]`` has success, departure, arrival
         and cost of each route. Further fields of ``PlanRouteRequest``: ``alternatives=1``, ``objective=…``.
@@ -208,7 +209,7 @@ class Routes(Connection):
         information_bits``.
 
         Where ``location`` is empty, the robot rests. The amount of exploration is set by ``explore`` (slots) or
-        ``ratio``, fields of ``PlanDayRequest``; one of them is required; ``request`` has further fields.
+        ``ratio``, fields of ``PlanDayRequest``, and needs one of them; ``request`` has further fields.
         """
         tables.pandas_needed()
         asked = {"map": map, "date": str(date)[:10], **request}

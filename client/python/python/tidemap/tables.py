@@ -111,7 +111,7 @@ def of_series(times: Any, zone: str, **columns: Any) -> pandas.DataFrame:
 
 
 def of_routes(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
-    """Routes: a row an edge; ``route`` 0 is the best. ``attrs`` has what holds for whole routes."""
+    """Routes: a row for each edge; ``route`` 0 is the best. ``attrs`` has what holds for whole routes."""
     steps = [
         (number, place, step) for number, route in enumerate(reply["routes"])
         for place, step in enumerate(route["steps"], start=1)

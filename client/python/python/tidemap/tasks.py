@@ -91,7 +91,7 @@ class Tasks(Connection):
     def kept_plan(
         self, map: str, date: Any = "", *, at: Time | None = None, zone: str | None = None
     ) -> pandas.DataFrame:
-        """The kept plan of a local day, a row a step; where ``kind`` is empty, the robot explores ``location``.
+        """The kept plan of a local day, a row for each step; where ``kind`` is empty, the robot explores ``location``.
 
         ``attrs["current"]`` is the number of the step at the time ``at``, by default now; ``None``: nothing is planned
         then. Without ``date`` it is the day of that time.

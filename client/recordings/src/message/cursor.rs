@@ -1,6 +1,6 @@
 //! A place in the bytes of a message, and how primitive values are laid out there.
 //!
-//! Invariant: nothing is read behind the end, and no length is believed before the bytes are there.
+//! Invariant: nothing is read behind the end, and no length is trusted before the bytes are there.
 
 use super::{MessageError, Numbers, VALUES_MAX, Value};
 use crate::definition::Primitive;

@@ -250,7 +250,7 @@ fn a_row_that_goes_on_in_circles_is_broken() {
     let mut bytes = written(&vec![(1, vec![Cell::Null, Cell::Bytes(vec![1; 30_000])])]);
     let stated = written_varint(written_record(&[Cell::Null, Cell::Bytes(vec![1; 30_000])]).len() as u64);
     let cell = bytes.windows(3).position(|bytes| bytes == stated).unwrap();
-    // The same number of bytes in the leaf, and a thousand pages more.
+    // The stated length has as many bytes in the leaf, and a thousand pages more.
     let mut rest = &stated[..];
     let longer = varint(&mut rest).unwrap() + 1000 * (PAGE_BYTES as u64 - 4);
     bytes[cell..cell + 3].copy_from_slice(&written_varint(longer));

@@ -135,7 +135,7 @@ def in_cells_of_map(
 ) -> tuple[Cells, tuple[int, int, int]]:
     """A grid at any pose, in the cells of the map; and the index x, y, z of its first cell there.
 
-    A cell of the map gets what lies in it: occupied if anything there is, free if something is free and nothing
+    A cell of the map is occupied if anything in it is occupied, and free if something in it is free and nothing is
     occupied.
     """
     # Cells that are larger than the cells of the map are divided, so that no cell of the map is left out between.

@@ -118,7 +118,7 @@ class Repricing:
 def repricing(
     ends: dict[int, tuple[str, str]], predicted: list[dict[str, Any]], closed_below: float, closed_before: set[int],
 ) -> Repricing:
-    """The edges to close, to open again and to reprice, of the edges that ``PredictEdges`` foretells.
+    """The edges to close, to open again and to reprice, of the edges that ``PredictEdges`` predicts.
 
     The cost is the duration divided by the probability of success: the cost of an edge that is tried until it works.
     """

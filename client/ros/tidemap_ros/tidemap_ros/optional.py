@@ -1,6 +1,6 @@
 """Types of packages that a robot may not have.
 
-Invariant: a package that is not installed costs what needs it, and a line in the log; nothing else.
+Invariant: a package that is not installed disables the parts that need it, and gives a line in the log; nothing else.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Observations of a robot as bytes: the records of the spool.
 
-Invariant: ``decoded(encoded(x)) == x``. A record has all that sending it needs; the same record is sent as the same
+Invariant: ``decoded(encoded(x)) == x``. A record has all data that sending needs; the same record is sent as the same
 bytes on any day.
 """
 

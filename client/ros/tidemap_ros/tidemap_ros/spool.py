@@ -138,8 +138,8 @@ class Spool:
     def linked(self, durable_sequence: int) -> None:
         """The daemon has everything of this producer up to a sequence number: forgets those records.
 
-        Before it returns it is on the disk which numbers the other records have for the daemon, so that the same
-        record never gets two.
+        Before it returns, the numbers of the other records for the daemon are on the disk, so that a record never gets
+        two numbers.
         """
         with self._lock:
             if self._is_closed:

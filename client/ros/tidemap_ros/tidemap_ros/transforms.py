@@ -68,7 +68,7 @@ class _Moving:
 class Transforms:
     """Frames, and where they were within the last ``kept_secs`` seconds.
 
-    ``tolerance_secs``: a time that is newer by up to this than the newest transform gets that one.
+    ``tolerance_secs``: a time that is newer than the newest transform by at most this gets the newest transform.
     """
 
     def __init__(self, kept_secs: float = 30.0, tolerance_secs: float = 0.0) -> None:

@@ -32,7 +32,8 @@ class RouteFollower:
         """For each goal, the edge that the robot is on, and the time since when."""
 
     def feedback(self, goal: bytes, edge: int, now_nanos: int) -> None:
-        """The robot is on this edge; another number than before: it has arrived at the end of that one."""
+        """The robot is on this edge; if the number differs from the previous one, the robot has arrived at the end of
+        the previous edge."""
         before = self._edges.get(goal)
         if before is not None and before[0] == edge:
             return

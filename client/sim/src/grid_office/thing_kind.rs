@@ -1,6 +1,6 @@
 //! The kinds of things that change in the grid office.
 
-/// The kind of a thing. `shapes` defines the poses of each kind, `routine` when it takes which.
+/// The kind of a thing. `shapes` defines the poses of each kind, `routine` the times at which a thing takes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ThingKind {
     /// A person at a desk, and the chair.

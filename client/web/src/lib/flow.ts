@@ -77,7 +77,7 @@ export function proposedDirections(candidates: string[]): string {
     return candidates.find((name) => DIRECTIONAL.test(name)) ?? '';
 }
 
-/** A round number that no cell exceeds: a scale that rests while numbers change a little. */
+/** A round number that no cell exceeds: a scale that stays constant while numbers change a little. */
 export function scaleTop(cells: FlowCell[]): number {
     const highest = cells.reduce((high, cell) => Math.max(high, cell.count), TOP_MIN);
     const power = Math.floor(Math.log10(highest) + 1e-9);

@@ -55,7 +55,7 @@ export class FlowFeed {
             [this.flow, this.shownMs, this.problem] = [undefined, Number.NaN, ''];
         }
         clearTimeout(this.#timer);
-        // A question that still waits when other states are chosen ends with this signal, not with the next one.
+        // A request that still waits when other states are chosen ends with this signal, not with the next one.
         const { signal } = this.#stop;
         if (states) this.#timer = setTimeout(() => this.#run(() => this.#answer(map, states, ms, signal)), REST_MS);
     }

@@ -103,7 +103,7 @@ const TAIL_MOST = 16;
 /** A shorter name is not parted. */
 const PARTED_LEAST = 18;
 
-/** A name in two: what may be cut, and the end that is kept, from a separator on where there is one. */
+/** A name in two parts: the part that may be cut, and the end that is kept, from a separator on if there is one. */
 export function nameParts(name: string): { head: string; tail: string } {
     const letters = [...name];
     if (letters.length < PARTED_LEAST) return { head: name, tail: '' };

@@ -106,7 +106,7 @@ export function heldText(reported: Reported, value: string, report: LastReport, 
     return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data`}` : `its value is ${value}`;
 }
 
-/** The newest value in few words: since when a change holds, and of readings when they came. */
+/** The newest value in few words: the time since which a change holds, or the time of a reading. */
 export function newestText(value: number | undefined, report: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
     const isChange = reported?.rows === RowKind.CHANGES;
     const { row } = report;

@@ -55,8 +55,8 @@ export function spanOf(name: string | undefined): SpanName {
 }
 
 /**
- * The time of a position of the slider, in milliseconds after its start: of a day as they pass, of a week and a year as
- * the clock shows them.
+ * The time of a position of the slider, in milliseconds after its start: for a day in elapsed time, for a week and a
+ * year in clock time.
  */
 export function positionTime(span: SpanName, start: number, elapsed: number, zone: string): number {
     return span === 'day' ? start + elapsed : fromWall(wallTime(start, zone) + elapsed, zone);

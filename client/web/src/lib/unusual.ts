@@ -10,7 +10,7 @@ import { fromTimestamp, toNanos, toTimestamp } from './times';
 export const LATELY_DAYS = 7;
 /** The maximum number of requested runs. */
 const RUNS_MAX = 10_000;
-/** Runs begin with an observation that the model held for at most this improbable: 1 minus it. */
+/** Runs begin with an observation to which the model gave at most a probability of 1 minus this. */
 const CONFIDENCE = 0.9;
 
 export interface Unusual {

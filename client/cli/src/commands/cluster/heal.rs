@@ -1,7 +1,7 @@
-//! `tidemap cluster heal`: what forks hold is taken into the map again, and forks of which it has everything are
-//! removed.
+//! `tidemap cluster heal`: takes the observations of forks into the map again, and removes forks whose observations are
+//! all in the map.
 //!
-//! Invariant: a fork of which the map lacks something is removed only where the loss is accepted in words.
+//! Invariant: a fork of which the map lacks something is removed only if the user accepts the loss explicitly.
 
 use std::{
     process::ExitCode,
@@ -38,7 +38,7 @@ const COLUMNS: [&str; 10] = [
     "removed",
 ];
 
-/// Records of a fork that the map lacks: observations, and others, of which it is not known.
+/// Records of a fork that the map lacks: observations, and other records, for which this is not known.
 fn missing(fork: &v1::LogFork) -> u64 {
     let observations = fork.producers.iter().map(|row| row.observations.saturating_sub(row.known_observations));
     observations.sum::<u64>() + fork.other_records

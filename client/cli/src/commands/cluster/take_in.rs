@@ -1,8 +1,8 @@
 //! Sends the observations of a fork to its map again, as if from their producers.
 //!
 //! Invariant: an observation is sent under the number and the incarnation that its producer gave it, so that the map
-//! has it once, however often this is repeated. After an observation that cannot be sent nothing more of its producer
-//! is.
+//! has it once, however often this is repeated. After an observation that cannot be sent, no further observation of its
+//! producer is sent.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -98,7 +98,8 @@ impl Resent {
         Ok(())
     }
 
-    /// Waits until everything is durable; gives how many observations the map has taken, and why not more.
+    /// Waits until everything is durable; returns the number of observations that the map has taken, and the reasons if
+    /// not all were taken.
     async fn close(mut self) -> (u64, Option<String>) {
         let closed = self.producer.close().await;
         let refusals = self.producer.take_refusals();

@@ -1,6 +1,6 @@
 //! The arguments of `tidemap export`.
 //!
-//! Invariant: an option that does not go with the kind of file is refused, never ignored.
+//! Invariant: an option that does not fit the kind of file is refused, never ignored.
 
 use std::path::PathBuf;
 

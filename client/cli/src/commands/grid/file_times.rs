@@ -1,7 +1,7 @@
 //! The times of files of scans: `--at` and `--every`, the names of the files, or a list.
 //!
 //! Invariant: every file has a time, or the command ends before anything is sent; only a file whose local time does not
-//! exist is left out. A time without a zone is read only with a word of the user's, `--local` or `--utc`.
+//! exist is left out. A time without a zone is read only if the user states `--local` or `--utc`.
 
 mod numbered;
 mod pattern;
@@ -172,8 +172,8 @@ impl FileTimes {
     }
 }
 
-/// The time at which the clocks of a zone showed this, in nanoseconds UTC, and whether they showed it twice. Of two,
-/// the second if the first is not after `before`.
+/// The time at which the clocks of a zone showed this, in nanoseconds UTC, and whether they showed it twice. If there
+/// are two such times, the second is taken if the first is not after `before`.
 fn of_clock(zone: &TimeZone, clock: DateTime, before: i64) -> Result<(i64, bool), String> {
     let nanos = |offset: jiff::tz::Offset| {
         let time = offset.to_timestamp(clock).map_err(|error| format!("{clock}: {error}"))?;

@@ -126,7 +126,7 @@ fn read<R: Read, L: Layout>(
     }
 }
 
-/// Reports invalid rows or scans: each reason once, of reasons that differ in their numbers only the first ones, then
+/// Reports invalid rows or scans: each reason once; if reasons differ only in their numbers, the first of them; then
 /// the number of the others.
 #[derive(Debug)]
 pub(crate) struct RefusalReport {

@@ -83,8 +83,7 @@ impl KindPatterns {
     /// Plans the kinds of the states of a file. A pattern that no state fits is reported.
     ///
     /// # Errors
-    /// A state exists with another kind, or its kind does not go with how it is reported; the file cannot be read
-    /// twice.
+    /// A state exists with another kind, or its kind does not fit its reporting; the file cannot be read twice.
     pub(super) async fn plan(
         &self,
         session: &Session,

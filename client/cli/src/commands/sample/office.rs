@@ -1,4 +1,5 @@
-//! The simulated office: what three robots saw, where they drove, and the week after, to compare predictions with.
+//! The simulated office: the observations and the drives of three robots, and the week after, for comparison with
+//! predictions.
 //!
 //! Invariant: a traversal fails if the door on its edge is shut, and now and then because something stands in the way.
 

@@ -1,4 +1,4 @@
-"""A real daemon, the real node in a process of its own, and a peer that talks ROS with it."""
+"""A real daemon, the real node in a process of its own, and a peer that exchanges ROS messages with it."""
 
 from __future__ import annotations
 

@@ -211,7 +211,8 @@ def test_a_daemon_that_is_stopped_is_told_and_then_used_again(bench):
 
 def test_clients_of_the_definition_before_detect(bench):
     bench.start(create_map=True, map_topic="", fremen_action="/before/fremenserver", fremen_detect=False)
-    # Another name, for a process of ROS 1 has one type a topic, and the tests above are clients of the newest.
+    # The action has another name, because a process of ROS 1 has one type for each topic, and the tests above are
+    # clients of the newest type.
     peer = Peer("/before/fremenserver", action_types.FREMEN_BEFORE_DETECT)
     assert peer.done(operation="add", id="door", times=[1, 2, 3], states=[True, True, False]).success == 3
     assert peer.done(operation="predict", id="door", times=[9]).probabilities[0] == pytest.approx(2 / 3, abs=0.2)

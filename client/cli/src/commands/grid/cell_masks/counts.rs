@@ -30,7 +30,8 @@ pub(crate) struct CellCounts {
 }
 
 impl CellCounts {
-    /// The reading of a cell of a 2D map: whether it is occupied; `None` if it has none. Counts it.
+    /// Converts a cell of a 2D map to a reading, and counts it: whether the cell is occupied; `None` if it gives no
+    /// reading.
     pub(super) fn reading(&mut self, cell: GridCell, mode: GridMode, between: Between) -> Option<bool> {
         self.all += 1;
         match (cell, between) {
