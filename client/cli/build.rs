@@ -1,6 +1,6 @@
-//! Tells the version of the command line.
+//! Sets the version of the command line.
 //!
-//! Invariant: it is made as that of the daemon.
+//! Invariant: the version is made in the same way as the daemon's.
 
 #[path = "../../server/build_version.rs"]
 mod build_version;

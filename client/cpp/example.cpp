@@ -1,11 +1,11 @@
-// A client in C++: streams observations and takes acknowledgements, then asks for a map and a route.
+// A client in C++: streams observations and takes acknowledgements, then requests a map and a route.
 //
 //   example HOST:PORT [PAUSE_MS]
 //
 // With a pause it observes slowly, so that the daemon can be stopped and started meanwhile.
 //
-// Invariant: an observation is kept until the daemon has acknowledged it. After a broken connection the stream goes on
-// behind what the daemon has, so that each observation counts once.
+// Invariant: an observation is kept until the daemon has acknowledged it. After a broken connection the stream
+// continues after the last observation that the daemon has, so that each observation counts once.
 
 #include <grpcpp/grpcpp.h>
 
@@ -37,7 +37,7 @@ constexpr int64_t kHour = 3600 * kSecond;
 constexpr int64_t kMonday = 1'767'571'200 * kSecond;  // 2026-01-05T00:00:00Z
 constexpr std::size_t kBatch = 256;
 
-// Throws what the daemon says if it refused something.
+// Throws the message of the daemon if it refused something.
 void check(const grpc::Status& status, const std::string& what) {
   if (!status.ok()) {
     throw std::runtime_error(what + ": " + status.error_message());
@@ -66,7 +66,7 @@ class Producer {
         name_(std::move(name)),
         label_(std::move(label)) {}
 
-  // The first call says which observations the daemon has already: number next() is the first to give.
+  // The first call reports which observations the daemon has already: number next() is the first to send.
   uint64_t next() {
     if (!stream_) {
       connect();
@@ -125,7 +125,8 @@ class Producer {
     hello->set_map(map_);
     hello->set_producer(name_);
     hello->set_label(label_);
-    // 0 the first time: the daemon gives a number. With that of the Welcome a stream that is still open ends.
+    // 0 the first time: the daemon gives a number. If a Hello has the number of the Welcome, a stream that is still
+    // open ends.
     hello->set_incarnation(incarnation_);
     wire::ObserveResponse reply;
     if (!stream_->Write(request) || !stream_->Read(&reply) || !reply.has_welcome()) {

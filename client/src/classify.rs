@@ -11,29 +11,29 @@ use crate::{connection::Client, error::Error, queries::ModelSelector};
 
 pub use tidemap_proto::convert::classify::Learning;
 
-/// What is asked of a classification.
+/// A request to classify one reading.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClassifyRequest {
     /// The categorical state.
     pub state: String,
-    /// When it was observed, nanoseconds UTC; `None`: now.
+    /// The time of the observation, nanoseconds UTC; `None`: now.
     pub time_nanos: Option<i64>,
-    /// Labels with the likelihood of what was observed; those of others are 0.
+    /// Labels with the likelihood of the observation under each; labels that are not here have likelihood 0.
     pub likelihoods: Vec<(String, f64)>,
-    /// Where it was observed.
+    /// The place of the observation.
     pub place: Option<String>,
     /// The model of the temporal prior.
     pub model: ModelSelector,
-    /// What is learned, and as what; `None`: nothing.
+    /// The producer and number with which the answer is learned; `None`: nothing is learned.
     pub learn: Option<LearnAs>,
 }
 
-/// As what a classification is learned.
+/// The way in which the map learns a classification: its form, producer, label and number.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LearnAs {
     /// The likeliest label, or the probabilities.
     pub what: Learning,
-    /// Who observes.
+    /// The name of the producer.
     pub producer: String,
     /// The label of the producer's sequence.
     pub label: String,
@@ -41,16 +41,16 @@ pub struct LearnAs {
     pub first_sequence: Option<u64>,
 }
 
-/// What is known of a label.
+/// The posterior of one label, with the factors that it is computed from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassifiedLabel {
     /// The label.
     pub label: String,
     /// The probability that it holds.
     pub probability: f64,
-    /// Its likelihood, as asked.
+    /// The likelihood of the label, as in the request.
     pub likelihood: f64,
-    /// Its probability by the time alone.
+    /// The probability of the label from the time alone.
     pub temporal_prior: f64,
     /// The probability of being at the place while it holds; `None`: not known.
     pub spatial_prior: Option<f64>,
@@ -61,15 +61,15 @@ pub struct ClassifiedLabel {
 pub struct Classification {
     /// All labels, in their order.
     pub labels: Vec<ClassifiedLabel>,
-    /// With learning: what is durable or refused up to this number.
+    /// With learning: all readings up to this number are durable or refused.
     pub durable_sequence: u64,
     /// With learning: why readings were refused.
     pub refusals: Vec<String>,
 }
 
 impl Client {
-    /// Says which label of a categorical state holds, from likelihoods and what the map has learned of times and
-    /// places; learns the answer if that is asked for.
+    /// Computes which label of a categorical state holds, from likelihoods and the times and places that the map has
+    /// learned; learns the answer if the request has `learn`.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or the state does not exist, `INVALID_ARGUMENT` if a label is

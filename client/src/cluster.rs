@@ -1,6 +1,6 @@
-//! Clusters: their members and maps as one daemon sees them, and what operators ask of a daemon.
+//! Clusters: their members and maps as one daemon sees them, and the operations on them.
 //!
-//! Invariant: each call is answered by the daemon that this client is of, for itself. Answers are messages of the wire.
+//! Invariant: each call is answered by the daemon of this client, for itself. Replies are messages of the wire.
 
 pub use tidemap_proto::v1::read_fork_response::Part as ForkPart;
 use tidemap_proto::v1::{self, cluster_service_client::ClusterServiceClient};
@@ -34,8 +34,8 @@ impl Client {
         ClusterServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
     }
 
-    /// The members and maps of the daemon's cluster, and what the daemon is to each map. `with_engine`: also what the
-    /// engine says of its servers and logs.
+    /// The members and maps of the daemon's cluster, and the role of the daemon for each map. `with_engine`: also the
+    /// servers and logs that the engine reports.
     ///
     /// # Errors
     /// [`Error`]; the code is `FAILED_PRECONDITION` if the daemon is not a member of a cluster.
@@ -75,7 +75,7 @@ impl Client {
         Ok(())
     }
 
-    /// Reads a fork of a map of this daemon: what it holds, in its order.
+    /// Reads the content of a fork of a map of this daemon, in the order of the fork.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if there is no such fork.

@@ -28,18 +28,18 @@ use secure::SecureConnector;
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
-/// Maximum size of a reply: what the daemon itself allows. The usual 4 MiB are less than an evaluation of many thousand
-/// states needs.
+/// Maximum size of a reply: the limit of the daemon itself. The usual 4 MiB are less than an evaluation of many
+/// thousand states needs.
 pub(crate) const REPLY_BYTES_MAX: usize = 64 << 20;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// A daemon whose machine is gone is detected after the interval and the timeout.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How a certificate begins.
+/// The begin of a certificate.
 const PEM_BEGIN: &[u8] = b"-----BEGIN CERTIFICATE-----";
 
-/// A gRPC channel that sends the token, and what was seen of a map that daemons share.
+/// A gRPC channel that sends the token, and the read token of a map that daemons share.
 pub type Connection = TokenService<InterceptedService<Channel, Bearer>>;
 
 /// Adds `authorization: Bearer …` to each request if there is a token.
@@ -61,14 +61,14 @@ impl Interceptor for Bearer {
     }
 }
 
-/// What a client and a daemon prove to each other. Its `Debug` shows no secret.
+/// The credentials that a client and a daemon present to each other. `Debug` shows no secret.
 #[derive(Clone, Default)]
 pub struct Credentials {
-    /// The token that says what the client may do.
+    /// The token that determines what the client may do.
     pub token: Option<String>,
     /// Certificates of the authorities that the daemon's certificate may come from, in PEM form. `https://` needs them.
     pub ca: Option<Vec<u8>>,
-    /// The client's certificate and its private key, in PEM form, for a daemon that asks for one.
+    /// The client's certificate and its private key, in PEM form, for a daemon that requires one.
     pub identity: Option<(Vec<u8>, Vec<u8>)>,
 }
 
@@ -84,7 +84,7 @@ impl fmt::Debug for Credentials {
 }
 
 impl Credentials {
-    /// What opens connections to an address; `None` without TLS.
+    /// The connector that opens connections with TLS; `None` without TLS.
     ///
     /// # Errors
     /// [`Error::Tls`]
@@ -104,7 +104,7 @@ impl Credentials {
     }
 }
 
-/// Whether an address leaves this machine: then a token on it needs TLS.
+/// Whether an address is on this machine: a token needs TLS on any other address.
 fn is_of_this_machine(server: &str) -> bool {
     let Some(authority) = server.strip_prefix("http://") else { return server.starts_with("unix:") };
     let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
@@ -112,7 +112,7 @@ fn is_of_this_machine(server: &str) -> bool {
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
 }
 
-/// Where a daemon listens, and how connections to it are opened.
+/// The address of a daemon, and the way to open connections to it.
 #[derive(Clone, Debug)]
 struct DaemonEndpoint {
     endpoint: Endpoint,
@@ -181,7 +181,7 @@ impl Client {
         Self::with_credentials(url, &Credentials::default())
     }
 
-    /// As [`Client::new`], with a token that is sent with each request.
+    /// Does the same as [`Client::new`], with a token that is sent with each request.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Token`], [`Error::TokenInClear`].
@@ -189,7 +189,7 @@ impl Client {
         Self::with_credentials(url, &Credentials { token: Some(token.to_owned()), ..Credentials::default() })
     }
 
-    /// As [`Client::new`], also for `https://HOST:PORT`, with what the two sides prove to each other.
+    /// Does the same as [`Client::new`], also for `https://HOST:PORT`, with the credentials of the two sides.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Token`], [`Error::TokenInClear`], [`Error::Tls`].
@@ -209,7 +209,7 @@ impl Client {
         Self::with_bearer(server, connector, bearer)
     }
 
-    /// As [`Client::new`], and checks that a daemon is listening.
+    /// Does the same as [`Client::new`], and checks that a daemon is listening.
     ///
     /// # Errors
     /// [`Error::Address`], [`Error::Unreachable`].
@@ -233,8 +233,8 @@ impl Client {
         Self::of_parts(server.clone(), endpoint.clone(), bearer.clone(), tokens.clone())
     }
 
-    /// A client of the same daemon, for one of a cluster: its replies show at least what `other` has seen of a map at
-    /// another daemon, and the other way round. It has connections of its own.
+    /// A client of the same daemon, for a daemon of a cluster: the replies show at least the data that `other` has seen
+    /// of a map at another daemon, and the other way round. The new client has connections of its own.
     #[must_use]
     pub fn with_read_tokens_of(&self, other: &Client) -> Self {
         let Inner { server, endpoint, bearer, .. } = &*self.inner;
@@ -247,7 +247,7 @@ impl Client {
         Self { inner: Arc::new(Inner { server, endpoint, bearer, requests, tokens, streams: Mutex::new(Vec::new()) }) }
     }
 
-    /// What was seen of each map. Clients with connections of their own share it.
+    /// The read token of each map. Clients with connections of their own share these tokens.
     pub(crate) fn tokens(&self) -> &ReadTokens {
         &self.inner.tokens
     }

@@ -1,7 +1,7 @@
 //! Errors of requests to the daemon.
 //!
-//! Invariant: the variant and the status code of an error say how to handle it, never the text; messages are for people
-//! and are passed on complete.
+//! Invariant: the variant and the status code of an error determine how to handle it, never the text; messages are for
+//! people and are passed on complete.
 
 use std::{error::Error as StdError, io, time::Duration};
 
@@ -22,7 +22,7 @@ pub enum Error {
     Tls(String),
     #[error("no daemon answers at {server}: {detail}")]
     Unreachable { server: String, detail: String },
-    /// The daemon ended the handshake of TLS because of this client's certificate, or for want of one.
+    /// The daemon ended the handshake of TLS because this client's certificate is wrong or missing.
     #[error("the daemon at {server} {problem}")]
     ClientCertificate { server: String, problem: String },
     /// The daemon refused the request, or failed.
@@ -87,7 +87,7 @@ impl Error {
         }
     }
 
-    /// After which time the same request may be sent again, if the daemon had no room for it and did nothing.
+    /// The time after which the same request may be sent again, if the daemon had no room for it and did nothing.
     #[must_use]
     pub fn retry_after(&self) -> Option<Duration> {
         match self {
@@ -135,7 +135,8 @@ impl ServerError {
     }
 }
 
-/// After which time a request that found no room may be sent again: what the daemon, or what stands before it, says.
+/// The time after which a request that found no room may be sent again, as stated by the daemon or by a proxy in front
+/// of it.
 #[must_use]
 pub fn retry_after(status: &Status) -> Option<Duration> {
     if status.code() != Code::ResourceExhausted {
@@ -153,7 +154,8 @@ fn transport_cause(status: &Status) -> Option<String> {
     status.source().map(root_cause)
 }
 
-/// What the alert of TLS in a cause says of the client's certificate. HTTP/2 passes the alert on as text only.
+/// The problem with the client's certificate that the TLS alert in a cause names. HTTP/2 passes the alert on as text
+/// only.
 fn certificate_problem(cause: &str) -> Option<String> {
     let alert = cause.split("received fatal alert: ").nth(1)?;
     let alert: String = alert.chars().take_while(char::is_ascii_alphanumeric).collect();

@@ -100,9 +100,9 @@ pub struct DayQuery {
     pub date: String,
     /// Length of a slot, nanoseconds; a quarter of an hour by default.
     pub slot_nanos: Option<i64>,
-    /// How much is explored; a quarter of the slots by default.
+    /// The amount of exploration; a quarter of the slots by default.
     pub budget: Option<Budget>,
-    /// How slots are selected.
+    /// The strategy that selects slots.
     pub strategy: Strategy,
     /// Seed of the random choices.
     pub seed: u64,
@@ -110,7 +110,8 @@ pub struct DayQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: ModelSelector,
-    /// How the worth of a look is measured; for viewpoints, tours and `exactly_one` by RA-L's gain, the default, alone.
+    /// The measure of the worth of an observation; for viewpoints, tours and `exactly_one` only RA-L's gain, the
+    /// default.
     pub information: InformationMeasure,
     /// Weight of exploration, in [0, 1]; the rest is the weight of the task.
     pub exploration_weight: Option<f64>,
@@ -120,8 +121,8 @@ pub struct DayQuery {
     pub viewpoints: Vec<Viewpoint>,
     /// The sensor of the robot at the viewpoints.
     pub sensor: Sensor,
-    /// The locations hold one person or object, which is at exactly one of them at any time: a model of all of them
-    /// predicts. Not with another model, viewpoints, tours or tasks.
+    /// The locations hold one person or object, which is at exactly one of them at any time: one model of all locations
+    /// predicts. This is not possible with another model, viewpoints, tours or tasks.
     pub exactly_one: bool,
     /// Instead of locations or viewpoints: a tour in every slot. The value of a slot is the expected information gain
     /// of its tour; the plan calls it `tour`.
@@ -133,11 +134,11 @@ pub struct DayQuery {
 pub struct DayTour {
     /// Maximum number of goals of a tour, 1 to 100.
     pub goals: u32,
-    /// Where the robot starts and returns to; the charger of the map by default.
+    /// The start and end of the robot's tour; the charger of the map by default.
     pub start_m: Option<[f64; 2]>,
 }
 
-/// How a location is selected for the current slot.
+/// The strategy that selects a location for the current slot.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum SlotStrategy {
     /// The most uncertain location.
@@ -161,15 +162,15 @@ pub struct SlotQuery {
     pub map: String,
     /// Middle of the slot, nanoseconds UTC.
     pub time_nanos: i64,
-    /// How the location is selected.
+    /// The strategy that selects the location.
     pub strategy: SlotStrategy,
     /// Locations to select from; empty: all.
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: Option<ModelSelector>,
-    /// As in [`DayQuery::information`].
+    /// The measure of information; see [`DayQuery::information`].
     pub information: InformationMeasure,
-    /// As in [`DayQuery::exactly_one`].
+    /// Whether exactly one location holds the object; see [`DayQuery::exactly_one`].
     pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
@@ -183,9 +184,9 @@ pub struct SlotQuery {
 /// The location for a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotChoice {
-    /// The location; `None`: the allowance says to rest.
+    /// The location; `None`: the robot rests because of its allowance.
     pub location: Option<String>,
-    /// Worth of a look there, bits.
+    /// Worth of an observation there, bits.
     pub information_bits: f64,
     /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
     pub surprise_bits: Option<f64>,
@@ -194,7 +195,7 @@ pub struct SlotChoice {
 /// A square of 0.5 m that robots tried to reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReachedPlace {
-    /// Its centre: x, y in metres.
+    /// The centre: x, y in metres.
     pub at_m: [f64; 2],
     /// Share of the last five attempts that succeeded.
     pub reachability: f64,
@@ -207,11 +208,11 @@ pub struct ReachedPlace {
 /// A slot of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DaySlot {
-    /// Its start, nanoseconds UTC.
+    /// The start, nanoseconds UTC.
     pub start_nanos: i64,
     /// The location to observe; `None`: rest.
     pub location: Option<String>,
-    /// Worth of a look there, bits.
+    /// Worth of an observation there, bits.
     pub information_bits: f64,
 }
 

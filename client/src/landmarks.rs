@@ -1,5 +1,5 @@
-//! Landmarks of nodes and edges: adding and removing them, which are visible when, and where a robot is by what it
-//! sees.
+//! Landmarks of nodes and edges: adding and removing them, which are visible when, and localisation of a robot by the
+//! landmarks that it sees.
 //!
 //! Invariant: an edit is durable when its method returns.
 
@@ -24,7 +24,7 @@ use crate::{
 /// Maximum size of a reply: the landmarks of a place, or the places of a large map.
 const LANDMARK_BYTES: usize = 16 << 20;
 
-/// A landmark with what was learned of it.
+/// A landmark with its learned data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownLandmark {
     /// The landmark.
@@ -46,28 +46,28 @@ pub struct LandmarkAtTime {
     pub sightings: u64,
 }
 
-/// Which landmarks to remove.
+/// A selection of landmarks to remove.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LandmarkSelection {
-    /// Those of these names at a place.
+    /// The landmarks of these names at a place.
     Named(PlaceName, Vec<String>),
-    /// Those at a place, or everywhere, that are seen in less than a share of at least so many sightings.
+    /// The landmarks at a place, or everywhere, that are seen in less than a share of at least so many sightings.
     SeldomSeen {
         /// The place; `None`: everywhere.
         place: Option<PlaceName>,
         /// The share, above 0, at most 1.
         below: f64,
-        /// The number of sightings in which they were in view; 0: 10.
+        /// The minimum number of sightings in which a landmark was in view; 0: 10.
         min_sightings: u64,
     },
 }
 
-/// Where a robot may be.
+/// A request for the places where a robot may be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocaliseQuery {
     /// Name of the map.
     pub map: String,
-    /// When the image was taken, nanoseconds UTC.
+    /// The time of the image, nanoseconds UTC.
     pub time_nanos: i64,
     /// The features of the image, 2 to 10,000.
     pub features: Vec<ImageFeature>,
@@ -77,7 +77,7 @@ pub struct LocaliseQuery {
     pub nodes: Vec<String>,
 }
 
-/// How well an image agrees with a node.
+/// The agreement of an image with a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundNode {
     /// Name of the node.
@@ -88,7 +88,7 @@ pub struct FoundNode {
     pub matches: u32,
     /// Matches that agree about the heading.
     pub votes: u32,
-    /// How far the features are to the right of where the landmarks were, pixels; `None`: no vote.
+    /// The shift of the features to the right of the landmarks, pixels; `None`: no vote.
     pub heading_px: Option<f64>,
     /// Probability that the robot is there, if it is at one of the nodes.
     pub probability: f64,
@@ -99,8 +99,9 @@ impl Client {
         LandmarkServiceClient::new(self.requests()).max_decoding_message_size(LANDMARK_BYTES)
     }
 
-    /// Adds landmarks to a place, or replaces those of their names. Gives the numbers of landmarks at the place and in
-    /// the map. `descriptor_kind`: name of what computes the descriptors. `velocity_profile`: of an edge, if given.
+    /// Adds landmarks to a place, or replaces those with the same names. Returns the numbers of landmarks at the place
+    /// and in the map. `descriptor_kind`: name of the algorithm that computes the descriptors. `velocity_profile`: of
+    /// an edge, if given.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the place does not exist, and the message names an invalid landmark.
@@ -124,8 +125,7 @@ impl Client {
         Ok((at_place, in_map))
     }
 
-    /// The landmarks of a place or a part of an edge, with what was learned of them, and the velocity profile of the
-    /// edge.
+    /// The landmarks of a place or a part of an edge, with their learned data, and the velocity profile of the edge.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if map or place do not exist.
@@ -144,7 +144,8 @@ impl Client {
         Ok((landmarks.into_iter().map(known).collect::<Result<_, Error>>()?, velocity_profile))
     }
 
-    /// The places with landmarks, and how many each has; and the name of what computes the descriptors of the map.
+    /// The places with landmarks, and the number of landmarks of each; and the name of the algorithm that computes the
+    /// descriptors of the map.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
@@ -156,7 +157,7 @@ impl Client {
         Ok((places.into_iter().map(counted).collect::<Result<_, Error>>()?, descriptor_kind))
     }
 
-    /// Removes landmarks, or with `is_dry_run` says which it would remove, by place.
+    /// Removes landmarks, or with `is_dry_run` returns those that it would remove, by place.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if map, place or landmark do not exist.

@@ -1,4 +1,4 @@
-//! The tidemap client library: connects to a daemon, sends observations and asks questions.
+//! The tidemap client library: connects to a daemon, sends observations and sends queries.
 //!
 //! [`Client`] connects to a daemon; its methods are in [`cluster`], [`maps`], [`queries`], [`exploration`], [`routes`],
 //! [`tasks`] and [`updates`]. [`observe::Producer`] sends observations and scans, each exactly once, even if

@@ -1,6 +1,6 @@
 //! Creating, listing and deleting maps.
 //!
-//! Invariant: the daemon fills in what a new map leaves out; this library repeats no default.
+//! Invariant: the daemon fills in the fields that a new map leaves out; this library repeats no default.
 
 mod site;
 
@@ -41,9 +41,9 @@ pub struct NewMap {
     pub time_zone: Option<String>,
     /// Candidate periodicities; 168 harmonics of 7 days if absent.
     pub periodicities: Option<PeriodicityDefinition>,
-    /// How updates compare orders.
+    /// The criterion by which updates compare orders.
     pub order_criterion: OrderCriterion,
-    /// How long the exact observations of named states are kept; forever if absent.
+    /// The time for which the exact observations of named states are kept; forever if absent.
     pub retention: Option<Retention>,
     /// The occupancy grid; none if absent.
     pub grid: Option<GridSpec>,
@@ -53,7 +53,7 @@ pub struct NewMap {
     pub prior: Option<f64>,
     /// The models that the nightly update selects from; `None`: the daemon's default.
     pub models: Option<EnabledModels>,
-    /// Whether observations before 1990 are refused, which come from clocks that are not set.
+    /// Whether observations before 1990, which come from clocks that are not set, are refused.
     pub has_real_clock: bool,
 }
 
@@ -84,9 +84,9 @@ pub struct Map {
     pub time_zone: String,
     /// Candidate periodicities.
     pub periodicities: PeriodicityDefinition,
-    /// How updates compare orders.
+    /// The criterion by which updates compare orders.
     pub order_criterion: OrderCriterion,
-    /// When it was created.
+    /// The time of creation.
     pub created_nanos: Option<i64>,
     /// Number of states.
     pub states: u64,
@@ -96,7 +96,7 @@ pub struct Map {
     pub pending_observations: u64,
     /// The last update.
     pub last_update: UpdateSummary,
-    /// How long the exact observations of named states are kept.
+    /// The time for which the exact observations of named states are kept.
     pub retention: Retention,
     /// The occupancy grid, if any.
     pub grid: Option<GridSpec>,
@@ -114,7 +114,7 @@ pub struct Map {
     pub models: EnabledModels,
     /// Whether observations before 1990 are refused.
     pub has_real_clock: bool,
-    /// Number of the pending observations that wait because their time is ahead of the daemon's clock.
+    /// Number of the pending observations that wait because their time is later than the daemon's clock.
     pub ahead_observations: u64,
 }
 
@@ -133,7 +133,7 @@ pub struct GridSummary {
     pub bounds: Option<CellBox>,
     /// The cells of a picture of the whole grid.
     pub region: Option<CellBox>,
-    /// Number of the pending scans that wait because their time is ahead of the daemon's clock.
+    /// Number of the pending scans that wait because their time is later than the daemon's clock.
     pub ahead_scans: u64,
 }
 
@@ -154,7 +154,7 @@ pub struct State {
     pub pending: u64,
     /// The sensor that reads it, if one was stated.
     pub sensor: Option<StateSensor>,
-    /// How it is reported, with its durations.
+    /// The reporting of the state, with its durations.
     pub reporting: StatedReporting,
     /// The labels of a categorical state, in order.
     pub labels: Vec<String>,
@@ -242,7 +242,7 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another shape or sensor, `NOT_FOUND` if the map does
-    /// not exist, `INVALID_ARGUMENT` if what is no probability has a sensor.
+    /// not exist, `INVALID_ARGUMENT` if a state that is not a probability has a sensor.
     pub async fn add_state(
         &self,
         map: &str,
@@ -259,10 +259,10 @@ impl Client {
         self.added(request).await
     }
 
-    /// Adds a state as a request of the wire says; it is durable when this returns.
+    /// Adds a state from a request of the wire; it is durable when this returns.
     ///
     /// # Errors
-    /// As [`Client::add_state`] and [`Client::add_categorical`].
+    /// The errors of [`Client::add_state`] and [`Client::add_categorical`].
     pub async fn add_requested_state(&self, request: v1::AddStateRequest) -> Result<State, Error> {
         self.added(request).await
     }
@@ -309,7 +309,7 @@ impl Client {
 pub struct UnavailableMap {
     /// Name of the map.
     pub name: String,
-    /// What is wrong with it, and what to do.
+    /// The fault of the map, and the remedy.
     pub reason: String,
 }
 

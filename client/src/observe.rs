@@ -1,8 +1,8 @@
 //! Sending observations, scans and reports, each exactly once.
 //!
 //! [`Producer`] is the handle for callers. Behind it: [`window`] decides what is sent, kept and dropped, without any
-//! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link` talks
-//! to the daemon.
+//! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link`
+//! exchanges messages with the daemon.
 //!
 //! Invariant: an observation gets its sequence number at once and is kept until the daemon reports that it is durable,
 //! even if connections break.
@@ -53,7 +53,7 @@ pub struct Refusal {
     pub detail: String,
 }
 
-/// Why a producer ended, or cannot do what it was asked. Everything acknowledged before stays durable.
+/// Why a producer ended, or cannot do what the caller requested. Everything acknowledged before stays durable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ProducerError {

@@ -45,7 +45,7 @@ use crate::{
 pub struct ModelDescription {
     /// Name of the state.
     pub state: String,
-    /// Which values the state has.
+    /// The kind of the values of the state.
     pub kind: StateKind,
     /// Mean of the learned values; if there are none: 0.5 for a probability, else 0.
     pub mean: f64,
@@ -67,7 +67,7 @@ pub struct ModelDescription {
     pub last_nanos: Option<i64>,
     /// Time of the oldest learned observation.
     pub first_nanos: Option<i64>,
-    /// The model that updates selected: a member of the ensemble, or alone what `auto` predicts with.
+    /// The model that updates selected: a member of the ensemble, or the only model with which `auto` predicts.
     pub chosen: ModelSelector,
     /// Faded sums of squared errors, one for each observation, of the models from which updates select: in the square
     /// of the unit of the values; with the criterion zero-one, the number of values on the wrong side of 0.5.

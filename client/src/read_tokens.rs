@@ -1,8 +1,8 @@
-//! What a client has seen of each map, for daemons that share maps: each request carries it, and no later reply shows
-//! less.
+//! The read token of each map that a client has seen, for daemons that share maps: each request carries it, and no
+//! later reply shows less.
 //!
-//! Invariant: a token only grows, until there is another map of the name. A daemon that is alone tells
-//! none, and gets none.
+//! Invariant: a token only grows, until there is another map of the name. A daemon that is alone sends no token, and
+//! receives none.
 
 use std::{
     collections::HashMap,
@@ -24,7 +24,7 @@ use tonic::{
     codegen::{Service, http},
 };
 
-/// Maximum size of a first message that is looked at; a request with a larger one carries no token.
+/// Maximum size of a first message that is decoded; a request with a larger one carries no token.
 const FIRST_BYTES: usize = 16 << 20;
 /// A stream of observations needs no token, and its first message may come later than its head.
 const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
@@ -41,12 +41,12 @@ impl ReadTokens {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What was seen of a map.
+    /// The newest read token of a map.
     pub(crate) fn of(&self, map: &str) -> Option<ReadToken> {
         self.all().get(map).copied()
     }
 
-    /// So much was seen of a map.
+    /// Records that a reply showed the data of a map up to a token.
     pub(crate) fn saw(&self, map: &str, token: ReadToken) {
         if token.is_nothing() {
             return;
@@ -64,7 +64,7 @@ impl ReadTokens {
     }
 }
 
-/// A connection whose requests carry what was seen, and whose replies are noted.
+/// A connection whose requests carry the read tokens, and which records the tokens of the replies.
 #[derive(Clone, Debug)]
 pub struct TokenService<S> {
     inner: S,
@@ -97,7 +97,7 @@ where
         if path == OBSERVE || !(is_renewing || names_a_map(path)) {
             return Box::pin(self.inner.call(request));
         }
-        // The one that is ready takes the request.
+        // The service that is ready takes the request.
         let next = self.inner.clone();
         let mut inner = std::mem::replace(&mut self.inner, next);
         let tokens = self.tokens.clone();
@@ -140,7 +140,7 @@ mod tests {
         ReadToken { map_uid: 7, position, generation }
     }
 
-    /// A daemon that shows so much, and notes what it was asked.
+    /// A daemon that shows a fixed token, and records the tokens of the requests.
     #[derive(Clone, Debug)]
     struct Shows {
         shown: Option<ReadToken>,

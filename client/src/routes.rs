@@ -68,7 +68,7 @@ pub struct SearchQuery {
     pub object: String,
     /// Time limit of the walk, nanoseconds.
     pub budget_nanos: Option<i64>,
-    /// How to search for the best order.
+    /// The effort of the search for the best order.
     pub effort: Effort,
     /// Time limit of planning, nanoseconds.
     pub plan_within_nanos: Option<i64>,
@@ -93,7 +93,7 @@ pub struct SearchQuery {
 /// A planned search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Search {
-    /// The places to look at, by the names of their nodes, in this order.
+    /// The places to search, by the names of their nodes, in this order.
     pub steps: Vec<SearchStep<String>>,
     /// All nodes of the walk with the arrival in seconds; the start first.
     pub walk: Vec<(String, f64)>,
@@ -103,7 +103,7 @@ pub struct Search {
     pub lower_bound_secs: f64,
     /// Whether the order is proven to be the best.
     pub optimal: bool,
-    /// Probability of all places that are not steps, divided by that of all places.
+    /// Probability of all places that are not steps, divided by the probability of all places.
     pub remains: f64,
     /// Why the walk ends early, if it does.
     pub stop: Option<StopReason>,

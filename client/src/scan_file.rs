@@ -1,4 +1,4 @@
-//! Files of scans, `.tms`: what a robot has seen, to send later, once or to several maps.
+//! Files of scans, `.tms`: the scans of a robot, to send later, once or to several maps.
 //!
 //! A file is one line and length-delimited protobuf messages, so that any language with protobuf can write it:
 //!
@@ -16,8 +16,8 @@
 //! }
 //! ```
 //!
-//! The batches are those of one Observe stream from its beginning: the first has `first_sequence` 1, and each continues
-//! after the previous one; the table of tiles starts empty. A batch of up to 256 scans and 512 KiB, with
+//! The batches are the batches of one Observe stream from its beginning: the first has `first_sequence` 1, and each
+//! continues after the previous one; the table of tiles starts empty. A batch of up to 256 scans and 512 KiB, with
 //! `first_sequence` 1 for the first, can be sent as it is.
 //!
 //! Invariant: at most one batch, or one scan that spans batches, is in memory. A truncated file gives every complete
@@ -71,7 +71,7 @@ pub struct FileScan {
     pub time_nanos: i64,
     /// Tiles to append to the table of the file: x, y, z of each.
     pub new_tiles: Vec<i32>,
-    /// Content; its slots are those of the table of the file.
+    /// The content; its slots index the table of the file.
     pub scan: Scan,
 }
 

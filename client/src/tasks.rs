@@ -1,6 +1,6 @@
-//! Tasks: what is to be done, the kept plans of days, and reports of what was done.
+//! Tasks, the kept plans of days, and reports of done tasks.
 //!
-//! Invariant: what is changed is durable when a method returns; a reply with invalid names is an error.
+//! Invariant: a change is durable when a method returns; a reply with invalid names is an error.
 
 pub use tidemap_map::{
     name::TaskName,
@@ -23,12 +23,12 @@ use crate::{
     exploration::{DayQuery, DaySlot, day_request, day_slots},
 };
 
-/// How the tasks of a day are planned.
+/// The query of a plan for the tasks of a day.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TaskQuery {
-    /// Name of the node where the robot is at first; `None`: that of the charger.
+    /// Name of the node where the robot is at first; `None`: the node of the charger.
     pub start_node: Option<String>,
-    /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
+    /// The time from which on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
     pub ready_nanos: Option<i64>,
     /// Whether the map keeps the plan.
     pub keep: bool,
@@ -37,13 +37,13 @@ pub struct TaskQuery {
 /// The plan of a day with its tasks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DayPlan {
-    /// The slots; those that are left over by tasks may explore.
+    /// The slots; a slot without a task may explore.
     pub slots: Vec<DaySlot>,
     /// The tasks.
     pub tasks: PlannedTasks,
 }
 
-/// What became of a report.
+/// The receipt of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskReceipt {
     /// All reports of the sequence up to this number are durable, or refused.
@@ -61,7 +61,7 @@ impl Client {
         TaskServiceClient::new(self.requests())
     }
 
-    /// Adds a task, or replaces the one of its kind and node.
+    /// Adds a task, or replaces the task of the same kind and node.
     ///
     /// # Errors
     /// [`Error`]; the code is `INVALID_ARGUMENT` if a number of the task is invalid.
@@ -113,7 +113,7 @@ impl Client {
         Ok(DayPlan { slots: day_slots(answer), tasks })
     }
 
-    /// The kept plan of a day (`YYYY-MM-DD`; by default that of the time), and the index of the step at a time, by
+    /// The kept plan of a day (`YYYY-MM-DD`; by default the day of the time), and the index of the step at a time, by
     /// default now.
     ///
     /// # Errors
@@ -161,7 +161,7 @@ impl Client {
         Ok(TaskReceipt { durable_sequence, refused: refused.into_iter().next().map(|refusal| refusal.detail) })
     }
 
-    /// How much the robots of a map work by themselves, week by week.
+    /// The autonomy of the robots of a map, week by week.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.

@@ -112,7 +112,7 @@ pub struct Job {
     pub states_total: u64,
     /// Number of observations learned, or erased of states that were not erased as a whole.
     pub observations: u64,
-    /// When the job was created.
+    /// The time of creation of the job.
     pub created_nanos: Option<i64>,
     /// Running time so far.
     pub elapsed_nanos: i64,
@@ -132,13 +132,13 @@ impl Job {
     }
 }
 
-/// What is to be erased: at least a state, a producer or an interval. Without a producer and an interval it is the
-/// whole state.
+/// The data to erase: at least a state, a producer or an interval. Without a producer and an interval it is the whole
+/// state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Erasure {
-    /// Of this state; `None`: of all.
+    /// The state to erase; `None`: all states.
     pub state: Option<String>,
-    /// What this producer observed; `None`: what all did.
+    /// The producer whose observations are erased; `None`: all producers.
     pub producer: Option<String>,
     /// With this label; `None`: with all labels.
     pub label: Option<String>,
@@ -177,9 +177,9 @@ pub struct StateUpdate {
 pub struct PagePort {
     /// Number of the port.
     pub port: u16,
-    /// Whether it takes connections from the daemon's own machine alone.
+    /// Whether the port accepts connections from the daemon's own machine alone.
     pub is_loopback: bool,
-    /// Whether it speaks HTTPS.
+    /// Whether the port serves HTTPS.
     pub has_tls: bool,
     /// The address that it is bound to; empty: all addresses of the machine, or the loopback one.
     pub host: String,
@@ -196,7 +196,7 @@ pub struct Statistic {
     pub unit: String,
 }
 
-/// One who has sent observations to a map.
+/// A producer that has sent observations to a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KnownProducer {
     /// Name of the producer.
@@ -205,11 +205,12 @@ pub struct KnownProducer {
     pub label: String,
     /// Number of its observations that are durable or refused.
     pub durable_sequence: u64,
-    /// Whether a stream of it is open.
+    /// Whether a stream of the producer is open.
     pub is_connected: bool,
-    /// When the daemon received the newest of its observations, nanoseconds UTC; `None` where a daemon does not say.
+    /// The time at which the daemon received the newest observation of the producer, nanoseconds UTC; `None` where a
+    /// daemon does not report it.
     pub received_nanos: Option<i64>,
-    /// Whether it has given its place up, and has sent nothing since.
+    /// Whether the producer has given its place up, and has sent nothing since.
     pub is_forgotten: bool,
 }
 
@@ -221,7 +222,7 @@ pub struct JobWatch {
 }
 
 impl JobWatch {
-    /// The job now, then after each change; `None` after it has ended.
+    /// Returns the job now, then after each change; `None` after the job has ended.
     ///
     /// # Errors
     /// [`Error`].
@@ -279,7 +280,7 @@ impl Client {
         }
     }
 
-    /// Those who have sent observations to a map, by name and label.
+    /// The producers that have sent observations to a map, by name and label.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
@@ -307,8 +308,8 @@ impl Client {
         }
     }
 
-    /// Frees the places of a producer that will not come back, with one label or with all. What it has sent stays, and
-    /// keeps its numbers. Returns how many places are free.
+    /// Frees the places of a producer that will not come back, with one label or with all. Its observations stay, and
+    /// keep their numbers. Returns the number of free places.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map has no such producer, and `FAILED_PRECONDITION` if it streams.
@@ -395,8 +396,8 @@ impl Client {
         Ok(statistics.into_iter().map(statistic).collect())
     }
 
-    /// Where the daemon serves its page, for who may ask for this map, or for all maps (empty); `None`: the daemon is
-    /// too old to say.
+    /// The port on which the daemon serves its page, for a user who may query this map, or all maps (empty); `None`:
+    /// the daemon is too old to report it.
     ///
     /// # Errors
     /// The daemon cannot be reached, or has no such map.

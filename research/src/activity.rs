@@ -1,18 +1,19 @@
-//! What a person does: a classifier that is often wrong, helped by what is usual at the time and place.
+//! Recognises the activity of a person: a classifier that is often wrong, helped by the usual activities at the time
+//! and place.
 //!
 //! The protocol is that of Krajník et al., "Frequency Map Enhancement", 2016, section VIII, on a recording with an
 //! activity and a place for each minute. The classifier names activity k where r is true with probability C\[r\]\[k\].
-//! Each minute has the posterior of `LabelEvidence`: C\[r\]\[k\] times what a temporal model of each activity
-//! predicts, times how usual the place is for the activity, where the place is known. The score of a minute
-//! is the posterior of the true activity; minutes without a known activity are left out. At midnight the models learn
-//! what was recognised on the day, one activity drawn from each posterior, and never the truth.
+//! Each minute has the posterior of `LabelEvidence`: C\[r\]\[k\] times the prediction of a temporal model of each
+//! activity, times how usual the place is for the activity, where the place is known. The score of a minute is the
+//! posterior of the true activity; minutes without a known activity are left out. At midnight the models learn the
+//! activities recognised on the day, one activity drawn from each posterior, and never the truth.
 //!
 //! - `recording.rs`: the files; `classifier.rs`: the matrices; `model.rs`: the models by name;
-//! - `priors.rs`: what is usual at a time; `course.rs`: one run; `trend.rs`: whether errors fall;
+//! - `priors.rs`: the usual activities at a time; `course.rs`: one run; `trend.rs`: whether errors fall;
 //! - `report.rs`: results.csv, days.csv, activities.csv, hours.csv.
 //!
-//! Invariant: a day is predicted from what was recognised on the days before it, and the same protocol gives the same
-//! figures for any number of threads.
+//! Invariant: a day is predicted from the activities recognised on the days before it, and the same protocol gives the
+//! same figures for any number of threads.
 
 use std::{
     path::{Path, PathBuf},
@@ -46,7 +47,7 @@ use recording::ActivityRecording;
 
 /// Midnight before the first day, which is a Thursday: 2010-11-04 UTC.
 const START_NANOS: i64 = 14_917 * 86_400_000_000_000;
-/// The days whose scores are averaged, counted from 0: what comes before is a week of learning.
+/// The days whose scores are averaged, counted from 0: the days before are a week of learning.
 const SCORED_FROM: usize = 6;
 /// The days whose errors have a trend, counted from 0: the first day has no model.
 const TREND_FROM: usize = 1;
@@ -98,7 +99,7 @@ impl ActivityError {
     }
 }
 
-/// What is compared.
+/// One of the compared settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActivitySetting {
     /// The classifier.
@@ -112,7 +113,7 @@ pub struct ActivitySetting {
 /// The results of a setting with all seeds.
 #[derive(Clone, Debug)]
 pub struct ActivityScores {
-    /// What was run.
+    /// The setting.
     pub setting: ActivitySetting,
     /// The runs, by seed.
     pub courses: Vec<ActivityCourse>,
@@ -120,7 +121,7 @@ pub struct ActivityScores {
 }
 
 impl ActivityScores {
-    /// The score of a day, counted from 0; none if no activity of it is known.
+    /// The score of a day, counted from 0; none if no activity of the day is known.
     pub fn day(&self, day: usize) -> Option<SeedMean> {
         let of_seed = |course: &ActivityCourse| course.sum(day..day + 1, |_, _| true).score();
         let seeds: Option<Vec<f64>> = self.courses.iter().map(of_seed).collect();

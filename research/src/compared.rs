@@ -1,8 +1,7 @@
-//! What experiments compare: the models of the catalogue, and a weighted mean of two of them.
+//! The settings of models that experiments compare: the models of the catalogue, and a weighted mean of two of them.
 //!
-//! Names of models and parameters are those of the command line and the protocols.
-//! Invariant: a setting can be trained on any readings in the model's range of values; a parameter out of range is
-//! refused before data is read.
+//! Names of models and parameters are the names of the command line and the protocols. Invariant: a setting can be
+//! trained on any readings in the model's range of values; a parameter out of range is refused before data is read.
 
 use tidemap_model::{
     Sample, StateKind, TrainedModel,
@@ -14,7 +13,7 @@ use tidemap_model::{
 /// A trained model.
 #[derive(Clone, Debug)]
 pub enum ComparedModel {
-    /// Of the catalogue.
+    /// A model of the catalogue.
     One(TrainedModel),
     /// A mean of two.
     Average(Average),
@@ -51,7 +50,7 @@ pub enum ComparableKind {
 
 /// The name of [`ComparableKind::Average`].
 const AVERAGE: &str = "average";
-/// The parameter of [`ComparableKind::Average`] besides those of its histogram.
+/// The parameter of [`ComparableKind::Average`] besides the parameters of its histogram.
 const CALIBRATED_WEIGHT: &str = "calibrated_weight";
 /// The histogram of an average: a kind with its parameters.
 const AVERAGED: ModelKind = tidemap_model::catalogue::HISTOGRAMS[0];
@@ -63,7 +62,7 @@ impl ComparableKind {
         kinds.map(ComparableKind::One).chain([ComparableKind::Average])
     }
 
-    /// Its name in protocols.
+    /// The name of the kind in protocols.
     pub fn name(self) -> &'static str {
         match self {
             ComparableKind::One(kind) => kind.name(),
@@ -118,13 +117,13 @@ impl ComparedSettings {
         Ok(Self { shown: shown.join(" "), settings, blend: ModelSelector::default() })
     }
 
-    /// These settings with predictions that are drawn towards the newest reading as `blend` does it.
+    /// These settings, with predictions that `blend` draws towards the newest reading.
     #[must_use]
     pub fn blended(self, blend: ModelSelector) -> Self {
         Self { blend, ..self }
     }
 
-    /// How predictions are drawn towards the newest reading.
+    /// The blend that draws predictions towards the newest reading.
     pub fn blend(&self) -> ModelSelector {
         self.blend
     }

@@ -4,8 +4,8 @@
 //! again in portions.
 //!
 //! Invariant: every row of every file is valid, or the experiment fails. No test set starts before the end of the
-//! training data unless it is a file of it, nor, if models learn test sets, before the end of the previous test set. A
-//! portion has at most the given number of readings, or one state.
+//! training data unless it is a file of the training data, nor, if models learn test sets, before the end of the
+//! previous test set. A portion has at most the given number of readings, or one state.
 
 use std::{
     borrow::Cow,
@@ -55,9 +55,9 @@ pub enum DataError {
 /// A test set.
 #[derive(Clone, Debug)]
 pub struct TestSet {
-    /// Its name in results.
+    /// The name of the data in results.
     pub label: String,
-    /// Whether it is training data.
+    /// Whether the data is training data.
     pub is_learned: bool,
     /// Readings of each state, ascending by time.
     pub samples: Vec<Vec<Sample>>,

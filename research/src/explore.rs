@@ -1,17 +1,17 @@
 //! Exploration replayed: strategies choose which place to visit, models learn from the visits, in a world that was
 //! recorded completely.
 //!
-//! The protocol is that of RAS 2017 (Santos et al., "Spatio-temporal exploration strategies for long-term autonomy of
-//! mobile robots", Robotics and Autonomous Systems 88, sections 3 to 7). Every place is a binary state and a location.
-//! Schedules and models are renewed at local midnight; persistence and short-term memory at every visit. A visit
-//! observes its place at the middle of its slot. All places are predicted for the middle of each slot, before the visit
-//! of that slot is known, and judged every minute; the visited place counts as known (eq. 2).
+//! The protocol is the one of RAS 2017 (Santos et al., "Spatio-temporal exploration strategies for long-term autonomy
+//! of mobile robots", Robotics and Autonomous Systems 88, sections 3 to 7). Every place is a binary state and a
+//! location. Schedules and models are renewed at local midnight; persistence and short-term memory at every visit. A
+//! visit observes its place at the middle of its slot. All places are predicted for the middle of each slot, before the
+//! visit of that slot is known, and judged every minute; the visited place counts as known (eq. 2).
 //!
-//! A visit tells where the person is for the rest of the slot; this is used for the visited place only, as in eq. 2.
+//! A visit shows where the person is for the rest of the slot; this is used for the visited place only, as in eq. 2.
 //! The presence model ([`tidemap_model::models::Presence`]) is the only model of all places together: a hidden Markov
 //! chain over places, because one person in one of ten rooms makes each visit informative about all of them. The best
-//! strategy with it, `online-error`, asks at each slot where the current prediction is most likely wrong, and whether
-//! later slots of the last days had more to gain than the remaining visits can pay for.
+//! strategy with it, `online-error`, computes at each slot where the current prediction is most likely wrong, and
+//! whether later slots of the last days had more to gain than the remaining visits can pay for.
 //!
 //! - `protocol.rs`: YAML to [`ExploreProtocol`]; `place_recording.rs`: rows `FROM UNTIL PLACE` to a place for every
 //!   minute;
@@ -88,7 +88,7 @@ pub struct StrategyResult {
     pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
-    /// How it measures the worth of a visit.
+    /// The measure of the worth of a visit.
     pub worth: VisitWorth,
     /// The model.
     pub model: BeliefModel,

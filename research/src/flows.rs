@@ -1,11 +1,11 @@
 //! Flows of people: how well the numbers, the directions and the encounters of a simulated floor are predicted.
 //!
 //! Cameras detect the people of a [`StreamOffice`] for some weeks; two models learn them: the spectral one, and one
-//! without time, which knows the mean of each cell and its histogram of directions. On later days both are scored, and
-//! robots cross the floor every half hour, from 7 to 19 o'clock, on routes by [`plan_routes`]: the shortest, and those
-//! that avoid the encounters that a model expects.
+//! without time, which has the mean of each cell and its histogram of directions. On later days both are scored, and
+//! robots cross the floor every half hour, from 7 to 19 o'clock, on routes by [`plan_routes`]: the shortest routes, and
+//! routes that avoid the encounters that a model predicts.
 //!
-//! - `floor.rs`: the floor as cells and as a lattice of nodes; `trips.rs`: routes, and who is met on them;
+//! - `floor.rs`: the floor as cells and as a lattice of nodes; `trips.rs`: routes, and the people met on them;
 //! - `report.rs`: results.csv.
 //!
 //! Invariant: models learn earlier days only, all robots make the same trips among the same people, and the same
@@ -80,7 +80,7 @@ impl ComparedFlow {
     /// Both, the baseline first.
     pub const ALL: [ComparedFlow; 2] = [ComparedFlow::Timeless, ComparedFlow::Spectral];
 
-    /// Its name in results.
+    /// The name of the robot in results.
     pub fn name(self) -> &'static str {
         match self {
             ComparedFlow::Timeless => "timeless",
@@ -161,7 +161,7 @@ impl FlowScore {
     }
 }
 
-/// What came of one seed.
+/// The outcome of one seed.
 struct SeedOutcome {
     /// By model, then by working day.
     days: Vec<Vec<FlowDay>>,

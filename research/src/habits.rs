@@ -1,17 +1,17 @@
-//! How sure tidemap is, and whether it is right: simulated habits of real buildings, predicted day by day.
+//! Calibration and accuracy of tidemap: simulated habits of real buildings, predicted day by day.
 //!
-//! Everything runs in one process, with the parts of a daemon: a robot's looks become observations in a
-//! [`LiveMap`](tidemap_map::live_map::LiveMap), one for each habit and seed. Before each test day the state is asked
-//! for every ten minutes of the day, then the day is learned at midnight. Predictions are compared with the hidden
-//! state, with tables that anybody can make, and with what the intervals say of themselves. An interval is about the
-//! mean of the state over an hour, so it is compared with the six hidden steps of a local hour.
+//! Everything runs in one process, with the parts of a daemon: a robot's readings become observations in a
+//! [`LiveMap`](tidemap_map::live_map::LiveMap), one for each habit and seed. Before each test day the state is
+//! predicted for every ten minutes of the day, then the day is learned at midnight. Predictions are compared with the
+//! hidden state, with simple tables, and with the probabilities that the intervals state. An interval is about the mean
+//! of the state over an hour, so it is compared with the six hidden steps of a local hour.
 //!
-//! - `calendar.rs`: days and steps; `habit.rs`: the habits; `world.rs`: hidden states and looks;
+//! - `calendar.rs`: days and steps; `habit.rs`: the habits; `world.rs`: hidden states and readings;
 //! - `learner.rs`: the map; `baselines.rs`: the tables; `score.rs`: the scores;
 //! - `report.rs`: results.csv, errors.csv.
 //!
-//! Invariant: predictions use looks of earlier days only, and the same protocol gives the same figures for any number
-//! of threads.
+//! Invariant: predictions use readings of earlier days only, and the same protocol gives the same figures for any
+//! number of threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -98,7 +98,7 @@ pub fn run(protocol: &HabitsProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> 
     let seeds = || (0..protocol.seeds).map(|seed| protocol.first_seed.wrapping_add(seed));
     let mut jobs: Vec<(usize, u64)> =
         (0..habits.len()).flat_map(|habit| seeds().map(move |seed| (habit, seed))).collect();
-    // Those with many days first, so that no thread is left with one of them at the end.
+    // Habits with many days come first, so that no thread is left with one of them at the end.
     jobs.sort_by_key(|&(habit, _)| std::cmp::Reverse(habits[habit].test.1));
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
     let runs = jobs
@@ -132,7 +132,7 @@ fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
             score_day(&mut scores, &world, day, &mut learner, &baselines);
         }
         let next = calendar.steps.get(calendar.days[day].steps.end);
-        // After the last day nothing is asked.
+        // After the last day nothing is predicted.
         let Some(midnight_nanos) = next.map(|step| step.utc_nanos) else { break };
         baselines.learn(calendar, world.looks_of(day));
         learner.learn(world.looks_of(day), midnight_nanos)?;
@@ -140,7 +140,7 @@ fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
     Ok(scores)
 }
 
-/// Adds the scores of a day that nobody has learned yet.
+/// Adds the scores of a day that no model has learned yet.
 fn score_day(scores: &mut Scores, world: &HabitWorld, day: usize, learner: &mut HabitLearner, baselines: &Baselines) {
     let HabitWorld { calendar, truth, values, .. } = world;
     let steps = calendar.days[day].steps.clone();

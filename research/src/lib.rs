@@ -8,7 +8,7 @@
 //! - `data.rs`: files to readings by state, in portions of states that fit into memory; one invalid row stops it;
 //! - `tuning.rs`: rolling origin on training data; the parameter set with the lowest mean error is chosen;
 //! - `score.rs`: the chosen sets on the test sets: errors by test set and by local day;
-//! - `newest.rs`: predictions by how far ahead readings are predicted, from the newest reading then;
+//! - `newest.rs`: predictions by lead time, from the newest reading at that time;
 //! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
 //! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
@@ -92,14 +92,14 @@ impl ExperimentError {
     }
 }
 
-/// The result of a model at one lag.
+/// The result of a model at one lead time.
 #[derive(Clone, Debug)]
 pub struct ModelResult {
-    /// Its name in results.
+    /// The name of the model in results.
     pub label: String,
-    /// How far ahead readings are predicted; none if the models answer without a newest reading.
+    /// The lead time; none if the models answer without a newest reading.
     pub ahead: Option<Ahead>,
-    /// Its parameters, as chosen.
+    /// The parameters of the model, as chosen.
     pub parameters: String,
     /// Errors of the model on the test days.
     pub score: TestScore,
@@ -123,13 +123,13 @@ impl ModelResult {
 /// The results of an experiment.
 #[derive(Debug)]
 pub struct Comparison {
-    /// By lag, then the models, both in the order of the protocol.
+    /// The results by lead time, then the models, both in the order of the protocol.
     pub models: Vec<ModelResult>,
     /// The folds on which parameters were tuned.
     pub folds: Vec<Fold>,
     /// The scores of every parameter set on the folds.
     pub trials: Vec<Trial<Evaluation>>,
-    /// Every pair of models at the same lag, by lag, then in the order of the protocol.
+    /// Every pair of models at the same lead time, by lead time, then in the order of the protocol.
     pub pairs: Vec<PairedModels>,
     /// The data; if it was read in several portions, the names of the states without their readings.
     pub data: Data,
@@ -143,7 +143,7 @@ pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result
     run_in_portions(protocol, READINGS_MAX, progress)
 }
 
-/// As [`run`], where at most `readings_max` readings are held at once.
+/// Does the same as [`run`], but holds at most `readings_max` readings at once.
 fn run_in_portions(
     protocol: &Protocol,
     readings_max: usize,
@@ -190,7 +190,7 @@ fn run_in_portions(
     Ok(Comparison { models, folds, trials, pairs, data: data.all })
 }
 
-/// Compares scores, which come by lag, then by model, at each lag.
+/// Compares scores, which come by lead time, then by model, at each lead time.
 fn compared(
     protocol: &Protocol,
     models: &[(&str, &ComparedSettings)],

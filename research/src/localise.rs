@@ -9,8 +9,8 @@
 //!
 //! - `recording.rs`: the files; `visibility.rs`: the models; `score.rs`: figures; `report.rs`: tables.
 //!
-//! Invariant: nothing of the month held out is known to what predicts it, and figures do not depend on the number of
-//! threads.
+//! Invariant: no data of the month held out is known to the models that predict it, and figures do not depend on the
+//! number of threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -60,15 +60,15 @@ impl LocaliseError {
 /// A way to predict which landmarks are visible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VisibilityModel {
-    /// How often it was visible.
+    /// The share of months in which the landmark was visible.
     Mean,
     /// A sine of one year.
     Yearly,
-    /// Those of the month nearest in the year first.
+    /// The landmarks of the month nearest in the year first.
     NearestMonth,
     /// The months weighted by their distance in the year.
     Season,
-    /// What the map predicts.
+    /// The prediction of the map.
     Auto,
 }
 
@@ -88,7 +88,7 @@ impl VisibilityModel {
         VISIBILITY_MODELS.into_iter().find(|model| model.name() == name)
     }
 
-    /// Its name in tables.
+    /// The name of the model in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -101,12 +101,12 @@ impl VisibilityModel {
     }
 }
 
-/// What was found, by model.
+/// The results, by model.
 #[derive(Clone, Debug)]
 pub struct LocaliseComparison {
-    /// Number of pictures that were asked about.
+    /// Number of pictures that were localised.
     pub pictures: usize,
-    /// Figures of each model, in the order in which they were asked for.
+    /// Figures of each model, in the order in which the models were requested.
     pub models: Vec<(VisibilityModel, LocaliseScores)>,
 }
 

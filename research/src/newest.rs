@@ -1,9 +1,8 @@
-//! Predictions of readings by what was known some time before them: the newest reading then.
+//! Predictions of readings from the newest reading that was known some time before them.
 //!
-//! The models are those that were trained; only the newest reading moves. It is a reading of any file of the protocol:
-//! a robot remembers what it saw in the test set before.
-//! Invariant: a prediction of a reading uses no reading that is nearer to it than the lag, and with [`Ahead::Next`]
-//! none at its own time.
+//! The models are the trained ones; only the newest reading moves. It is a reading of any file of the protocol: a robot
+//! remembers its readings of the test set before. Invariant: a prediction of a reading uses no reading that is nearer
+//! to it than the lead time, and with [`Ahead::Next`] none at its own time.
 
 use tidemap_model::{MemoryBasis, Persistence, Sample, StateKind, models::TemporalModel as _};
 
@@ -15,21 +14,23 @@ use super::{
 #[cfg(test)]
 mod tests;
 
-/// The readings of one state from which the newest is taken, and what the blends need to know of them.
+/// The readings of one state from which the newest is taken, and the parameters that the blends need.
 pub(crate) struct KnownReadings {
-    /// Of all files, ascending by time.
+    /// The readings of all files, ascending by time.
     samples: Vec<Sample>,
     basis: MemoryBasis,
 }
 
 impl KnownReadings {
-    /// `train` are the training readings, ascending by time; `tests` those of each test set that was not learned.
+    /// `train` are the training readings, ascending by time; `tests` the readings of each test set that was not
+    /// learned.
     pub(crate) fn new<'a>(train: &[Sample], tests: impl Iterator<Item = &'a [Sample]>, kind: StateKind) -> Self {
         let count = train.len().max(1) as f64;
         let mean = train.iter().map(|sample| sample.value).sum::<f64>() / count;
         let variance = train.iter().map(|sample| (sample.value - mean).powi(2)).sum::<f64>() / count;
         let is_probability = kind == StateKind::Probability;
-        // As a map measures changes: of other kinds than probabilities in two standard deviations.
+        // The unit is the one in which a map measures changes: for other kinds than probabilities two standard
+        // deviations.
         let width = 2.0 * variance.sqrt();
         let basis = MemoryBasis {
             usual_change: if !is_probability && width > 0.0 { width } else { 1.0 },
@@ -43,7 +44,8 @@ impl KnownReadings {
         Self { samples, basis }
     }
 
-    /// Predictions of readings, ascending by time, at a lag; `plain` are those of the model without a newest reading.
+    /// Predictions of readings, ascending by time, at a lead time; `plain` are the predictions of the model without a
+    /// newest reading.
     pub(crate) fn predict(
         &self,
         (set, model): (&ComparedSettings, &ComparedModel),

@@ -36,7 +36,7 @@ impl NightlyMap {
         &self.map
     }
 
-    /// What readers of the map see.
+    /// The view of readers of the map.
     pub(crate) fn view(&mut self) -> MapView {
         self.map.publish()
     }
@@ -73,7 +73,7 @@ impl NightlyMap {
         self.apply(&Event::Observations(envelope, observed))
     }
 
-    /// Learns what was observed before midnight.
+    /// Learns the observations before midnight.
     pub(crate) fn update<E>(&mut self, midnight_nanos: i64) -> Result<(), E>
     where
         E: From<InconsistentEvent> + From<SumsUnavailable>,

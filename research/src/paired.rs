@@ -123,7 +123,7 @@ fn sets(model: &[DayErrors], baseline: &[DayErrors]) -> Vec<Vec<PairedDay>> {
 struct MeanDifference {
     /// The mean over test sets of the mean over readings.
     mean: f64,
-    /// Its standard error, up to a factor that is equal for all draws.
+    /// The standard error of the mean, up to a factor that is equal for all draws.
     error: f64,
 }
 
@@ -142,7 +142,8 @@ impl MeanDifference {
         Self { mean: sum / count, error: variance.sqrt() / count }
     }
 
-    /// Its distance to a value in standard errors; infinite if all days are equal and differ from the value.
+    /// The distance of the mean to a value in standard errors; infinite if all days are equal and differ from the
+    /// value.
     fn distance(self, value: f64) -> f64 {
         let away = (self.mean - value).abs();
         if away > 0.0 { away / self.error } else { 0.0 }

@@ -1,7 +1,7 @@
-//! The comparison as a picture: a bar for each lag and model, in SVG.
+//! The comparison as a picture: a bar for each lead time and model, in SVG.
 //!
-//! A bar is the mean squared error. The dashed line is the error of the baseline at the same lag. A whisker is the
-//! interval of the difference to the baseline, added to the baseline's error: if it does not cross the line, the
+//! A bar is the mean squared error. The dashed line is the error of the baseline at the same lead time. A whisker is
+//! the interval of the difference to the baseline, added to the baseline's error: if it does not cross the line, the
 //! difference is significant. Labels, bars and figures have a column each, so that no text overlaps a line.
 //!
 //! Invariant: the same results give the same bytes; text stays inside the picture in all common fonts.

@@ -43,7 +43,7 @@ pub enum RowFormat {
     Pairs,
 }
 
-/// When models are trained again.
+/// The times at which models are trained again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Retrain {
     /// Once, on the training data.
@@ -53,7 +53,7 @@ pub enum Retrain {
     Each,
 }
 
-/// What lists of parameters are for.
+/// The purpose of lists of parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Lists {
     /// Tuning chooses one value.
@@ -88,10 +88,11 @@ pub enum Predictions {
 /// A test set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TestFile {
-    /// Its name in results.
+    /// The name of the test set in results.
     pub label: String,
     pub path: PathBuf,
-    /// Whether it is a file of the training data, so that its errors are those of models that have learned it.
+    /// Whether the test set is a file of the training data, so that its errors are errors of models that have learned
+    /// it.
     pub is_learned: bool,
 }
 
@@ -112,9 +113,9 @@ pub struct Protocol {
     pub train: Vec<PathBuf>,
     /// Test sets, at least one, in temporal order.
     pub test: Vec<TestFile>,
-    /// When models are trained again.
+    /// The times at which models are trained again.
     pub retrain: Retrain,
-    /// How far ahead readings are predicted. Empty: by the trained models alone, without a newest reading.
+    /// The lead times of predictions. Empty: the trained models alone predict, without a newest reading.
     pub ahead: Vec<Ahead>,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
@@ -196,7 +197,7 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
     })
 }
 
-/// What lists of parameters are for. With tuning, lists are for tuning.
+/// The purpose of lists of parameters. With tuning, lists are for tuning.
 fn lists(word: Option<Word>, tunes: bool) -> Result<Lists, ProtocolError> {
     match word {
         Some(word) if tunes && word.text == EACH => {

@@ -15,7 +15,7 @@ use tidemap_model::Sample;
 pub(crate) struct ReadingsInMemory(Vec<Arc<HistoryPiece>>);
 
 impl ReadingsInMemory {
-    /// Keeps what an update learned.
+    /// Keeps the readings that an update learned.
     pub(crate) fn keep(&mut self, learned: impl IntoIterator<Item = Arc<HistoryPiece>>) {
         self.0.extend(learned);
     }

@@ -18,12 +18,12 @@ use super::{
 };
 use tidemap_formats::table::{Cell, Format, TableWriter, write_rows};
 
-/// Writes the comparison, a row for each lag and model.
+/// Writes the comparison, a row for each lead time and model.
 ///
 /// Columns: model, parameters, mse and error_rate (means over test sets that were not learned), mse of each test set,
 /// the difference of mse to the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
-/// If the protocol has lags, also ahead and log_loss (nats); if it tests training data, the error rate of each test
-/// set.
+/// If the protocol has lead times, also ahead and log_loss (nats); if it tests training data, the error rate of each
+/// test set.
 pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Format, writer: W) -> io::Result<()> {
     let mut columns = vec!["model".to_owned(), "parameters".to_owned()];
     columns.extend(has_lags(protocol).then(|| "ahead".to_owned()));
@@ -101,8 +101,8 @@ pub(super) fn file(
     written().with_context(|| path.display().to_string())
 }
 
-/// The difference of every pair of models at a lag, with its p-value as it is and corrected for the number of pairs
-/// (Holm). The verdict is by the corrected one.
+/// The difference of every pair of models at a lead time, with its p-value as it is and corrected for the number of
+/// pairs (Holm). The verdict uses the corrected p-value.
 fn pairs<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = vec!["model", "other"];
     columns.extend(has_lags(protocol).then_some("ahead"));
@@ -154,7 +154,7 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
     write_rows(Format::Csv, &columns, rows, writer)
 }
 
-/// The predictions and the observed values, by test set, by time, by state, by lag.
+/// The predictions and the observed values, by test set, by time, by state, by lead time.
 fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
     columns.extend(has_lags(protocol).then(|| "ahead".to_owned()));

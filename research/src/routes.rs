@@ -1,11 +1,11 @@
-//! Routes that improve: robots in a simulated building, some of which follow the routes that tidemap plans from what it
-//! learned about the edges they travelled.
+//! Routes that improve: robots in a simulated building, some of which follow the routes that tidemap plans from the
+//! traversals of the edges that they travelled.
 //!
 //! Everything runs in one process, with the parts of a daemon: traversals become the states of edges in a
 //! [`LiveMap`](tidemap_map::live_map::LiveMap) of each robot, models are learned at midnight, the map's forecasts of
 //! edges feed [`plan_routes`](tidemap_plan::route::plan_routes). Robots are compared by failed traversals a week. The
 //! trend of a robot is the slope of a straight line through its weeks (least squares), one for each seed; a two-sided
-//! test over the seeds tells whether slopes differ from 0.
+//! test over the seeds shows whether slopes differ from 0.
 //!
 //! - `building.rs`: the world; `learner.rs`: a robot's map; `robot.rs`: tasks and paths;
 //! - `report.rs`: results.csv, weeks.csv; `picture.rs`: routes.svg.
@@ -76,7 +76,7 @@ impl RoutesError {
 /// The course of a robot with all seeds.
 #[derive(Clone, Debug)]
 pub struct RobotCourse {
-    /// How the robot chooses its path.
+    /// The method by which the robot chooses its path.
     pub kind: RobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<Week>>,
@@ -161,7 +161,7 @@ impl RouteComparison {
         }
     }
 
-    /// The failures of a robot's later weeks, divided by those of the robot that takes the shortest paths.
+    /// The failures of a robot's later weeks, divided by the failures of the robot that takes the shortest paths.
     pub fn of_shortest(&self, course: &RobotCourse) -> f64 {
         let baseline = self.courses.first().map_or(0.0, |first| first.failures(self.late()).mean);
         course.failures(self.late()).mean / baseline

@@ -36,7 +36,7 @@ pub struct DayErrors {
 pub struct SetErrors {
     /// Squared errors and wrong predictions.
     pub errors: Evaluation,
-    /// Sum of -ln of the probability of what was observed, of probabilities; each at least 0.001.
+    /// Sum of -ln of the predicted probability of the observed value, for probabilities; each at least 0.001.
     pub log_loss_sum: f64,
     /// Whether the model has learned the set.
     pub is_learned: bool,
@@ -55,7 +55,7 @@ impl SetErrors {
     }
 }
 
-/// The score of a model at one lag.
+/// The score of a model at one lead time.
 #[derive(Clone, Debug)]
 pub struct TestScore {
     /// Errors of each test set.
@@ -72,7 +72,7 @@ impl TestScore {
         self.sets.iter().any(|set| !set.is_learned)
     }
 
-    /// The mean over test sets of their mean squared errors: over those that were not learned, if there are such.
+    /// The mean over test sets of their mean squared errors: over the sets that were not learned, if there are any.
     pub fn mse(&self) -> f64 {
         self.mean(|set| set.errors.mse())
     }
@@ -94,7 +94,7 @@ impl TestScore {
     }
 }
 
-/// The lags of a protocol; a single `None` if it has none, and models answer as they were trained.
+/// The lead times of a protocol; a single `None` if it has none, and models answer as they were trained.
 pub(crate) fn lags(protocol: &Protocol) -> Vec<Option<Ahead>> {
     match &protocol.ahead[..] {
         [] => vec![None],
@@ -102,7 +102,7 @@ pub(crate) fn lags(protocol: &Protocol) -> Vec<Option<Ahead>> {
     }
 }
 
-/// Trains each model and predicts all test sets, portion by portion. The scores come by lag, then by model.
+/// Trains each model and predicts all test sets, portion by portion. The scores come by lead time, then by model.
 pub(crate) fn score(
     portions: &DataPortions<'_>,
     models: &[(&str, &ComparedSettings)],
@@ -139,7 +139,7 @@ pub(crate) fn score(
 /// Predictions of one state, by test set.
 type PredictedSets = Vec<Vec<f64>>;
 
-/// Predictions of one state, by lag.
+/// Predictions of one state, by lead time.
 fn predict(
     data: &Data,
     state: usize,
@@ -173,7 +173,7 @@ fn predict(
     Ok(predictions)
 }
 
-/// The errors of one model at one lag so far, by test set.
+/// The errors of one model at one lead time so far, by test set.
 #[derive(Debug)]
 struct Tally {
     sets: Vec<SetErrors>,

@@ -1,8 +1,8 @@
-//! Searches replayed: how long a robot takes to find a person, by what it has learned about where the person is when.
+//! Searches replayed: how long a robot takes to find a person, by its learned data about where the person is when.
 //!
-//! The protocol is that of "Waldo" (Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA 2015,
-//! section VII): the presence in each place is a binary state, observed every minute. Models learn the first days and
-//! are asked for every later minute in which the person is at a node. The robot visits the nodes in the order of least
+//! The protocol is the one of "Waldo" (Krajník, Kulich, Mudrová, Ambrus, Duckett, "Where's Waldo at time t?", ICRA
+//! 2015, section VII): the presence in each place is a binary state, observed every minute. Models learn the first days
+//! and predict every later minute in which the person is at a node. The robot visits the nodes in the order of least
 //! expected time from its start; the person stays in place, and is found when the robot first arrives there. The last
 //! row of the results is an oracle that knows the person's position.
 //!
@@ -13,8 +13,8 @@
 //! Parameters are tuned on the mean time until the person is found in the folds, or on the log loss of the person's
 //! place there, each predicted from the data before it.
 //!
-//! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and
-//! the same files give the same figures for any number of threads.
+//! Invariant: no prediction uses its own minute or later ones, parameters are tuned on training days only, and the same
+//! files give the same figures for any number of threads.
 
 use std::{
     ops::Range,
@@ -70,9 +70,9 @@ pub enum ReplayError {
 /// The result of a model.
 #[derive(Clone, Debug)]
 pub struct SearchResult {
-    /// Its name in results.
+    /// The name of the model in results.
     pub label: String,
-    /// Its parameters, as chosen.
+    /// The parameters of the model, as chosen.
     pub parameters: String,
     /// The times until the person was found.
     pub times: FindTimes,

@@ -5,7 +5,7 @@
 pub struct SeedMean {
     /// The mean.
     pub mean: f64,
-    /// Its standard error; none for a single seed.
+    /// The standard error of the mean; none for a single seed.
     pub standard_error: Option<f64>,
 }
 

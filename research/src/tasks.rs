@@ -1,8 +1,8 @@
 //! Tasks over weeks: robots with windows to keep, in a simulated building whose ways are not always open.
 //!
-//! The building is that of [`routes`](crate::routes). Every day has tasks at random places, each with a window, and
+//! The building is the one of [`routes`](crate::routes). Every day has tasks at random places, each with a window, and
 //! charging in each part of the day. One robot does them in the order in which their windows open, on shortest ways.
-//! The others choose their ways, or their ways and their days, by what they learned about the edges that they
+//! The others choose their ways, or their ways and their days, by the data that they learned about the edges that they
 //! travelled until the last midnight: the parts of a daemon in one process. A failed traversal costs time; a few of
 //! them end with the robot stuck, and somebody has to help.
 //!
@@ -63,7 +63,7 @@ impl TasksError {
 /// The course of a robot with all seeds.
 #[derive(Clone, Debug)]
 pub struct TaskCourse {
-    /// How the robot works.
+    /// The method by which the robot works.
     pub kind: TaskRobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<TaskFigures>>,
@@ -76,7 +76,7 @@ impl TaskCourse {
         self.over(weeks, |weeks| weeks.iter().map(&figure).sum::<f64>() / count)
     }
 
-    /// A sum over the weeks of a range for each task that was done in them.
+    /// A sum over the weeks of a range for each task that was done in these weeks.
     pub fn per_task(&self, weeks: Range<usize>, figure: impl Fn(&TaskFigures) -> f64) -> SeedMean {
         self.over(weeks, |weeks| {
             let done: u64 = weeks.iter().map(|week| week.done).sum();
@@ -110,7 +110,7 @@ pub struct TaskComparison {
 }
 
 impl TaskComparison {
-    /// The failures of a robot, divided by those of the first robot.
+    /// The failures of a robot, divided by the failures of the first robot.
     pub fn of_first_come(&self, course: &TaskCourse) -> f64 {
         let all = |course: &TaskCourse| course.failures().sum::<u64>() as f64;
         self.courses.first().map_or(f64::NAN, |first| all(course) / all(first))

@@ -74,7 +74,7 @@ fn mse(outcome: &Comparison, label: &str) -> f64 {
     outcome.models.iter().find(|model| model.label == label).unwrap().score.mse()
 }
 
-/// What the tuning decided and by which errors.
+/// The decisions of the tuning, and the errors by which it decided.
 fn tuned(outcome: &Comparison) -> Vec<(String, bool, Vec<f64>)> {
     let of_trial = |trial: &Trial<Evaluation>| {
         let errors = trial.folds.iter().map(|fold| fold.mse()).collect();
@@ -112,7 +112,7 @@ fn tuning_sees_no_test_data() {
         assert_eq!(tuned(&before), tuned(&after));
         for (before, after) in before.models.iter().zip(&after.models) {
             assert_eq!(before.parameters, after.parameters);
-            // Nor does what is predicted of a set depend on what is in it.
+            // The prediction of a set does not depend on its content either.
             assert_eq!(before.score.predictions[0], after.score.predictions[0], "{}", before.label);
         }
         assert!((mse(&before, "histogram") - mse(&after, "histogram")).abs() > 0.05);
@@ -333,7 +333,7 @@ fn extent(element: &str) -> Option<[f64; 4]> {
     }
     let text = element.strip_suffix("</text>")?.rsplit('>').next()?;
     let height = number("font-size").unwrap_or(13.0);
-    // As wide as in DejaVu Sans, which is wide.
+    // The width is the width in DejaVu Sans, which is wide.
     let (x, y, width) = (number("x")?, number("y")?, 0.6 * height * text.chars().count() as f64);
     let left = match attribute(element, "text-anchor") {
         Some("end") => x - width,

@@ -33,13 +33,13 @@ pub struct Fold {
 pub struct Trial<F> {
     /// Index of the model.
     pub model: usize,
-    /// Index of the parameter set among those of the model.
+    /// Index of the parameter set among the sets of the model.
     pub set: usize,
-    /// Its score on each fold.
+    /// The score of the set on each fold.
     pub folds: Vec<F>,
     /// The mean error over the folds.
     pub error: f64,
-    /// Whether it was chosen.
+    /// Whether the set was chosen.
     pub is_chosen: bool,
 }
 
@@ -100,7 +100,7 @@ pub(crate) fn folds(data: &DataPortions<'_>, tuning: Tuning) -> Result<Vec<Fold>
     Ok(folds)
 }
 
-/// Checks that each fold had readings; `errors` are those of one parameter set.
+/// Checks that each fold had readings; `errors` are the errors of one parameter set.
 pub(crate) fn check_folds(folds: &[Fold], errors: &[Evaluation]) -> Result<(), ExperimentError> {
     for (number, (fold, errors)) in (1..).zip(folds.iter().zip(errors)) {
         if errors.observations == 0 {

@@ -1,6 +1,6 @@
 //! `tidemap-bench lag`: how far a daemon of a cluster is behind the acknowledgements of another one.
 //!
-//! Invariant: a reply counts only if it shows what was acknowledged before: its read token says so.
+//! Invariant: a reply counts only if it shows the data that was acknowledged before, as its read token states.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +15,7 @@ use tidemap_client::{
 use super::{Figures, latencies::Latencies};
 use tidemap_terminal::{failure::UsageError, progress::status_line};
 
-/// How long a new map may take until the other daemon holds it.
+/// The time limit until the other daemon holds a new map.
 const HELD_WITHIN: Duration = Duration::from_secs(60);
 const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(200);
 const STATE: &str = "door";
@@ -62,7 +62,7 @@ pub(super) async fn run(client: &Client, reader: &Client, map: &str, args: &LagA
         let began = Instant::now();
         read(reader, map).await?;
         behind.record(began.elapsed())?;
-        // What the reading takes by itself.
+        // The time that the reading takes by itself.
         let began = Instant::now();
         read(reader, map).await?;
         again.record(began.elapsed())?;

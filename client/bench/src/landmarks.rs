@@ -1,7 +1,7 @@
 //! `tidemap-bench landmarks`.
 //!
-//! Invariant: every landmark has been in view in every look, and every request is for another node and minute, so that
-//! no answer is cached.
+//! Invariant: every landmark has been in view in every sighting, and every request is for another node and minute, so
+//! that no answer is cached.
 
 use std::time::Instant;
 
@@ -48,7 +48,7 @@ const MINUTE_NANOS: i64 = 60 * NANOS_PER_SEC;
 const MONTH_NANOS: i64 = 30 * 24 * 60 * MINUTE_NANOS;
 /// Nodes among which a robot is searched.
 const NODES_ASKED: u32 = 8;
-/// Landmarks that a robot asks for.
+/// Landmarks that a robot requests.
 const LANDMARKS_ASKED: u32 = 100;
 const DESCRIPTOR_BYTES: u64 = 32;
 
@@ -77,7 +77,7 @@ fn is_seen(node: u32, landmark: u32, look: u32) -> bool {
     (u64::from(look) + phase) % 12 < 6
 }
 
-/// Nodes with landmarks, and what was seen of them.
+/// Creates nodes with landmarks, and sightings of them.
 async fn prepare(client: &Client, map: &str, args: &LandmarkBenchArgs) -> anyhow::Result<()> {
     let names = (0..args.nodes).map(|number| Ok(StateName::new(&node(number))?)).collect::<anyhow::Result<Vec<_>>>()?;
     let nodes: Vec<NewNode> =

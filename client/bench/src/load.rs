@@ -1,7 +1,6 @@
 //! Streams that send observations as fast as the daemon accepts them.
 //!
-//! Invariant: the messages are those of any client, packed by the same code. There is no recovery: a broken connection
-//! ends the measurement.
+//! Invariant: the messages are packed by the same code as those of any client.
 
 use std::{
     sync::Arc,

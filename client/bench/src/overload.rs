@@ -48,7 +48,7 @@ pub(crate) struct OverloadArgs {
     process: DaemonProcess,
 }
 
-/// Time to find out what the daemon can do.
+/// Time for measuring the capacity of the daemon.
 const CAPACITY_WITHIN: Duration = Duration::from_secs(3);
 const LEVEL: f64 = 0.9;
 
@@ -61,7 +61,7 @@ struct Question {
 }
 
 impl Question {
-    /// Asks; whether the daemon answered. It may refuse for its load alone.
+    /// Sends one request; returns whether the daemon answered. A daemon may refuse for its load alone.
     async fn ask(&self, client: &Client) -> anyhow::Result<bool> {
         let (states, times) = (self.states.to_vec(), self.times.to_vec());
         let mut predictions = client.predict(&self.map, states, times, ModelSelector::default()).with_intervals(LEVEL);

@@ -39,7 +39,7 @@ pub(crate) struct PredictBenchArgs {
 pub(super) const START_NANOS: i64 = 1_578_268_800 * NANOS_PER_SEC;
 pub(super) const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 pub(super) const HOURS: u64 = 4 * 7 * 24;
-/// As long as it takes for the figure to stand.
+/// The duration that makes the measured figure stable.
 const MEASURED: Duration = Duration::from_secs(5);
 
 pub(super) async fn run(client: &Client, map: &str, args: &PredictBenchArgs) -> anyhow::Result<Figures> {

@@ -84,7 +84,7 @@ impl CommandLine {
     }
 }
 
-/// What decides how a command shows times: the map, whose time zone is used, and whether a picture is drawn.
+/// The data that decides how a command shows times: the map, whose time zone is used, and whether a picture is drawn.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Subject {
     /// Name of the map.
@@ -96,18 +96,18 @@ pub(crate) struct Subject {
 /// Parses the command line.
 ///
 /// # Errors
-/// It is wrong, or asks for help.
+/// The command line is wrong, or requests help.
 pub(crate) fn parse() -> Result<(CommandLine, Subject), clap::Error> {
     let matches = help::grouped(help::with_examples(CommandLine::command())).try_get_matches()?;
     Ok((CommandLine::from_arg_matches(&matches)?, subject(&matches)))
 }
 
-/// Whether arguments that could not be parsed ask for JSON.
+/// Whether arguments that could not be parsed request JSON.
 pub(crate) fn ask_for_json(arguments: &[String]) -> bool {
     arguments.windows(2).any(|pair| pair == ["--output", "json"]) || arguments.iter().any(|one| one == "--output=json")
 }
 
-/// Commands that show no times; they do not ask for the map's zone.
+/// Commands that show no times; they do not request the map's zone.
 const TIMELESS: [&str; 6] = ["classify", "import", "observe", "traverse", "update", "visit"];
 
 fn subject(matches: &ArgMatches) -> Subject {

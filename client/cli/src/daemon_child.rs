@@ -1,13 +1,13 @@
-//! What holds where a daemon runs this program, to import a recording that was sent to it.
+//! The rules for this program when a daemon runs it to import a recording that was sent to the daemon.
 //!
-//! Invariant: the program ends when the daemon does, however that ends, and takes the processor only when others leave
-//! it.
+//! Invariant: the program ends when the daemon ends in any way, and uses the processor only when other processes leave
+//! it idle.
 
 use std::env;
 
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal, setpriority_process};
 
-/// The number of the daemon's process, as the daemon tells it.
+/// The number of the daemon's process, as the daemon passes it.
 const DAEMON: &str = "TIDEMAP_DAEMON";
 /// The lowest priority that the system has.
 const NICENESS: i32 = 19;
@@ -19,6 +19,6 @@ pub(crate) fn follow_daemon() -> bool {
     // A system that has neither runs the import all the same.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
     let _ = setpriority_process(None, NICENESS);
-    // Looked at afterwards: a daemon that ended before sends no signal any more.
+    // This is checked afterwards: a daemon that ended before sends no signal any more.
     getppid() == daemon
 }

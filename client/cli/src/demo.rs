@@ -56,7 +56,7 @@ pub(crate) struct DemoArgs {
     pub(crate) daemon: Option<PathBuf>,
 }
 
-/// Runs the demo; after a signal the exit status is that of a shell.
+/// Runs the demo; after a signal the exit status is the status that a shell gives.
 ///
 /// # Errors
 /// The daemon does not start, or fails; the error holds the end of the daemon's log.

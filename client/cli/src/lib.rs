@@ -1,4 +1,4 @@
-//! The command line `tidemap`, and what the program `tidemap-bench` shares with it.
+//! The command line `tidemap`, and the parts that the program `tidemap-bench` shares with it.
 //!
 //! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or
 //! a refusal, 2 after a usage error and for a cluster that is lost, 130 after Ctrl-C.
@@ -46,7 +46,7 @@ pub fn main() -> ExitCode {
     code
 }
 
-/// Answers a command line that is wrong or asks for help.
+/// Answers a command line that is wrong or requests help.
 fn not_parsed(error: &clap::Error) -> ExitCode {
     let arguments: Vec<String> = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect();
     if !error.use_stderr() || !commands::ask_for_json(&arguments) {

@@ -1,6 +1,6 @@
 //! `tidemap`, the command line.
 //!
-//! Invariant: the library has all of it.
+//! Invariant: all code is in the library.
 
 use std::process::ExitCode;
 

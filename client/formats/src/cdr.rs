@@ -1,6 +1,6 @@
 //! Messages of ROS 2 as bytes: CDR, version 1, in little-endian order.
 //!
-//! Invariant: a number stands at a multiple of its size, counted from behind the four bytes of the header.
+//! Invariant: a number stands at a multiple of its size, counted from the end of the four bytes of the header.
 
 const SEC_NANOS: i64 = 1_000_000_000;
 /// Plain CDR in little-endian order, without options.

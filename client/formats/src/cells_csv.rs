@@ -1,9 +1,9 @@
 //! The known cells of a map as CSV: `x,y,z,probability,entropy_bits,changing,observed,cell_x,cell_y,cell_z`.
 //!
-//! x, y and z are the centre of the cell in metres; `changing` tells whether the cell has a temporal model. Unknown
-//! cells are omitted, so `observed` is `true` in every row; the column is for joins with other tables. The last three
-//! columns are the cell's index along each axis, which is part of the name of its state, `cell/X/Y/Z`; in a projected
-//! map cell_z is 0.
+//! x, y and z are the centre of the cell in metres; `changing` is whether the cell has a temporal model. Unknown cells
+//! are omitted, so `observed` is `true` in every row; the column is for joins with other tables. The last three columns
+//! are the cell's index along each axis, which is part of the name of its state, `cell/X/Y/Z`; in a projected map
+//! cell_z is 0.
 //!
 //! Invariant: one row for each known cell, in the order of the picture.
 

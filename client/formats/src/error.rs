@@ -12,7 +12,7 @@ const QUOTED_CHARS_MAX: usize = 40;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {problem}")]
 pub struct FormatError {
-    /// Its place in the file.
+    /// The place of the error in the file.
     pub place: FilePlace,
     /// The problem at that place.
     pub problem: FormatProblem,

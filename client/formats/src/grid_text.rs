@@ -33,7 +33,7 @@ pub fn write(picture: &MapPicture, title: &str) -> Result<String, PictureError> 
     Ok(text)
 }
 
-/// Pictures of one map at several times, each below its title, two beside each other; of two pictures also the
+/// Pictures of one map at several times, each below its title, two beside each other; if there are two, also the
 /// difference, the second minus the first.
 ///
 /// # Errors
@@ -62,7 +62,7 @@ pub fn write_compared(panels: &[(String, MapPicture)], title: &str) -> Result<St
     Ok(text)
 }
 
-/// How many cells a character stands for.
+/// The blocks of cells that one character shows.
 struct Blocks {
     across: usize,
     down: usize,
@@ -99,7 +99,7 @@ impl Blocks {
         [name.to_owned()].into_iter().chain(self.lines(rows, character)).collect()
     }
 
-    /// The scale, and what a character is.
+    /// The scale, and the meaning of a character.
     fn legend(&self, picture: &MapPicture) -> String {
         let Self { across, down, times, .. } = self;
         let mut text = String::new();
@@ -115,7 +115,7 @@ impl Blocks {
     }
 }
 
-/// What the characters of a picture mean.
+/// The legend of the characters of a picture.
 fn values_legend(picture: &MapPicture) -> String {
     let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
     format!("  {}: 0 {} 1; blank: not observed\n", picture.value.text(), shades.join(" "))

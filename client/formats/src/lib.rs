@@ -2,7 +2,7 @@
 //!
 //! Invariant: bytes in, values out, or the reverse; no file is opened here. Reading never panics, and never allocates
 //! memory for a number in a file before that number was checked against the file's length. A truncated file is an
-//! error, never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
+//! error, never a smaller map. Numbers in error messages count as the file does: lines from 1, bytes from 0.
 
 pub mod cdr;
 pub mod cells_csv;

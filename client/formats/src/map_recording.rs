@@ -66,16 +66,16 @@ pub enum MapRecordingError {
     TooManyStates,
 }
 
-/// What a recording says about itself.
+/// The data of a recording about itself.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingHead {
-    /// Whether it has messages of ROS 2 only; it then has the profile `ros2`.
+    /// Whether the recording has messages of ROS 2 only; it then has the profile `ros2`.
     pub is_ros2_only: bool,
-    /// Name and value of what else is known about it.
+    /// Further data about the recording: names and values.
     pub about: BTreeMap<String, String>,
 }
 
-/// How many messages a recording has.
+/// The number of messages of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageCounts {
     /// Maps for ROS 2.
@@ -97,7 +97,7 @@ pub struct MapRecording<W: Write + Seek> {
     counts: MessageCounts,
 }
 
-/// How the messages of a topic are described.
+/// The description of the messages of a topic.
 struct Description {
     schema: &'static str,
     schema_encoding: &'static str,
@@ -184,7 +184,7 @@ impl<W: Write + Seek> MapRecording<W> {
         Ok(())
     }
 
-    /// Writes the end of the recording, with its index. Returns what the recording was written to, and what it has.
+    /// Writes the end of the recording, with its index. Returns the writer of the recording, and the message counts.
     ///
     /// # Errors
     /// [`MapRecordingError::Mcap`].

@@ -44,7 +44,7 @@ pub struct Grid {
     pub size_cells: [u32; 2],
     /// The cells: x fastest, then y, both upwards.
     pub cells: Vec<GridCell>,
-    /// How many of them are free although their pixel is 205, which map savers write for unknown.
+    /// The number of cells that are free although their pixel is 205, which map savers write for unknown.
     pub free_205: u64,
 }
 
@@ -63,7 +63,7 @@ pub enum GridCell {
 }
 
 impl GridCell {
-    /// Whether it is occupied; none if it is unknown or between the thresholds.
+    /// Whether the cell is occupied; none if it is unknown or between the thresholds.
     pub fn occupied(self) -> Option<bool> {
         match self {
             Self::Unknown | Self::Between { .. } => None,

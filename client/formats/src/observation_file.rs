@@ -64,7 +64,7 @@ fn separator_name(separator: char) -> &'static str {
     }
 }
 
-/// What separates the columns of a header that has no commas; `None`: it has one column.
+/// The separator of the columns of a header that has no commas; `None`: it has one column.
 fn other_separator(header: &str) -> Option<char> {
     let others = || [';', '\t', '|'].into_iter();
     others().find(|&separator| !header.contains(',') && header.contains(separator))
@@ -143,7 +143,7 @@ pub struct ObservationRow {
     pub state: String,
     /// Time; 0 if it could not be read.
     pub time_nanos: i64,
-    /// Value; one that the daemon refuses, if any part of the row could not be read: NaN, or infinity where NaN says
+    /// Value; if a part of the row could not be read, a value that the daemon refuses: NaN, or infinity where NaN means
     /// that no value is known. A value out of range is kept: the transfer and its checksum must match the file.
     pub value: f64,
     /// The value was a word.
@@ -171,7 +171,7 @@ pub enum RowItem<T = ObservationRow> {
     Torn {
         /// Number of the line.
         line: u64,
-        /// Its text, shortened.
+        /// The text of the row, shortened.
         text: String,
     },
 }
@@ -342,7 +342,7 @@ fn read_line(reader: &mut impl BufRead, buffer: &mut Vec<u8>) -> io::Result<(Opt
     Ok((Some(end), bytes))
 }
 
-/// The fields of a line; their number must be that of the header.
+/// The fields of a line; their number must be equal to the number of columns in the header.
 fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, String> {
     if line.len() > LINE_BYTES_MAX {
         return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
@@ -494,7 +494,7 @@ impl ObservationColumns {
 }
 
 impl ObservationColumns {
-    /// The number that a text is or stands for; `None`: no value is known.
+    /// The number that a text contains or means; `None`: no value is known.
     fn number(&self, text: &str, row: &mut ObservationRow) -> Result<Option<f64>, String> {
         let number: Option<f64> = text.parse().ok();
         if let Some(number) = number.filter(|number| !number.is_nan() || self.rules.kind == RowKind::Samples) {

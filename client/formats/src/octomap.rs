@@ -53,7 +53,7 @@ pub struct Leaf {
     pub min_cell: [i32; 3],
     /// Cells along a side: a power of two.
     pub size_cells: u32,
-    /// Whether it is occupied: log-odds of 0 or more.
+    /// Whether the leaf is occupied: log-odds of 0 or more.
     pub occupied: bool,
     /// Logarithm of the odds that it is occupied.
     pub log_odds: f32,

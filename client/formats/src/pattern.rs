@@ -2,7 +2,7 @@
 //!
 //! Invariant: a pattern without `*` and `?` fits exactly the name that it is.
 
-/// Whether a name matches a pattern: `*` stands for any characters, `?` for one.
+/// Whether a name matches a pattern: `*` matches any characters, `?` one.
 #[must_use]
 pub fn matches(pattern: &[char], name: &[char]) -> bool {
     let (mut at, mut read) = (0, 0);

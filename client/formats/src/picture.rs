@@ -21,13 +21,13 @@ pub struct MapPicture {
     pub size_cells: [u32; 3],
     /// The cells: x fastest, then y, then z.
     pub cells: Vec<PictureCell>,
-    /// What files show of the cells.
+    /// The quantity that files show of the cells.
     pub value: PictureValue,
     /// The probability after a free and after an occupied reading of the map's sensor.
     pub levels: (f64, f64),
 }
 
-/// What the values of a picture are.
+/// The quantity of the values of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum PictureValue {
     /// The probability that a cell is occupied.
@@ -40,7 +40,7 @@ pub enum PictureValue {
 }
 
 impl PictureValue {
-    /// As legends say it.
+    /// The text of the quantity in legends.
     pub fn text(self) -> String {
         match self {
             Self::Probability => "probability of occupied".to_owned(),
@@ -102,7 +102,7 @@ pub enum PictureError {
          part within that can be written"
     )]
     BeyondTree { origin_m: [f64; 3], reach_m: f64 },
-    /// Cells between those of an OctoMap.
+    /// The cells of the map lie between the cells of an OctoMap.
     #[error(
         "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell at \
          0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
@@ -117,7 +117,7 @@ pub enum PictureError {
 }
 
 impl PictureCell {
-    /// Its probability; none if it is unknown.
+    /// The probability that the cell is occupied; none if the cell is unknown.
     pub fn probability(self) -> Option<f32> {
         match self {
             Self::Unknown => None,
@@ -125,7 +125,7 @@ impl PictureCell {
         }
     }
 
-    /// The probability of a later cell minus that of this one; none if one of them is unknown.
+    /// The probability of a later cell minus the probability of this one; none if one of the two is unknown.
     pub fn difference(self, later: PictureCell) -> Option<f32> {
         Some(later.probability()? - self.probability()?)
     }
@@ -134,7 +134,7 @@ impl PictureCell {
 /// The first of pictures that are compared.
 ///
 /// # Errors
-/// There is none, one is invalid or has several layers, or their sizes differ.
+/// There is no picture, one is invalid or has several layers, or their sizes differ.
 pub(crate) fn same_size(panels: &[(String, MapPicture)]) -> Result<&MapPicture, PictureError> {
     let (_, first) = panels.first().ok_or(PictureError::Empty([0; 3]))?;
     for (_, picture) in panels {
@@ -181,7 +181,7 @@ impl MapPicture {
         }
     }
 
-    /// What files show of a cell: its probability, or its entropy in bits; none if it is unknown.
+    /// The value of a cell in files: its probability, or its entropy in bits; none if the cell is unknown.
     #[allow(clippy::cast_possible_truncation, reason = "a value of a cell is a single")]
     pub fn value_of(&self, cell: PictureCell) -> Option<f32> {
         let probability = cell.probability()?;
@@ -192,7 +192,7 @@ impl MapPicture {
         })
     }
 
-    /// Who paints the cells.
+    /// The painter of the cells.
     pub(crate) fn painter(&self) -> Painter {
         match self.value {
             PictureValue::Probability => Painter::new(Layer::Probability, self.levels),

@@ -2,7 +2,7 @@
 //!
 //! Free cells are white, occupied ones black, unknown ones grey, and probabilities between have a scale of colours.
 //!
-//! Invariant: the colours are those of [`tidemap_picture::Painter`]; the file has no metadata such as time or name.
+//! Invariant: the colours come from [`tidemap_picture::Painter`]; the file has no metadata such as time or name.
 
 use tidemap_picture::{
     Canvas, CanvasError, CellPaint, Colour, LETTER_HEIGHT, Layer, Legend, LegendRow, Painter, fitting_scale,
@@ -30,11 +30,11 @@ pub fn write(picture: &MapPicture, scale: u32) -> Result<Vec<u8>, PictureError> 
     Ok(canvas(picture, scale)?.png()?)
 }
 
-/// The picture for people: with a legend and a scale bar below it. `scale`: as in [`write`]; none: so that it can be
-/// read. `caption`: what it shows.
+/// The picture for people: with a legend and a scale bar below it. `scale`: as in [`write`]; none: a scale that makes
+/// it readable. `caption`: a text about its content.
 ///
 /// # Errors
-/// As those of [`write`].
+/// The errors of [`write`].
 pub fn write_for_people(picture: &MapPicture, scale: Option<u32>, caption: &str) -> Result<Vec<u8>, PictureError> {
     let [width, height, _] = picture.size_cells;
     let scale = scale.unwrap_or_else(|| fitting_scale(width, height));
@@ -44,11 +44,11 @@ pub fn write_for_people(picture: &MapPicture, scale: Option<u32>, caption: &str)
     Ok(legend.below(&drawn).png()?)
 }
 
-/// Pictures of one map at several times beside each other, each below its title, with one legend; of two pictures also
-/// the difference, the second minus the first. `scale` and `caption`: as in [`write_for_people`].
+/// Pictures of one map at several times beside each other, each below its title, with one legend; if there are two,
+/// also the difference, the second minus the first. `scale` and `caption`: as in [`write_for_people`].
 ///
 /// # Errors
-/// As those of [`write`], or the sizes of the pictures differ.
+/// The errors of [`write`], or the sizes of the pictures differ.
 pub fn write_compared(
     panels: &[(String, MapPicture)],
     scale: Option<u32>,
@@ -58,7 +58,7 @@ pub fn write_compared(
     let [width, height, _] = first.size_cells;
     let pair = if let [(_, before), (_, after)] = panels { Some((before, after)) } else { None };
     let count = u32::try_from(panels.len()).unwrap_or(u32::MAX).saturating_add(u32::from(pair.is_some()));
-    // As many columns as make the picture least long, and two at least.
+    // The number of columns that makes the longer side of the picture shortest, and two at least.
     let longer = |columns: u32| (width.saturating_mul(columns)).max(height.saturating_mul(count.div_ceil(columns)));
     let columns = (2..=count).rev().min_by_key(|&columns| longer(columns)).unwrap_or(1);
     let scale = scale.unwrap_or_else(|| {
@@ -80,7 +80,7 @@ pub fn write_compared(
             painter.colour(known.map(|(after, value)| CellPaint { probability: after.into(), value: value.into() }))
         });
         drawn.push(("second minus first", Canvas::of_cells(width as usize, cells, scale)));
-        // What is unknown stands there already.
+        // The rows already contain the colour of unknown cells.
         let differences = painter.legend();
         let known = differences.len().saturating_sub(1);
         rows.splice(rows.len().saturating_sub(1)..rows.len().saturating_sub(1), differences.into_iter().take(known));
@@ -104,7 +104,7 @@ fn side_by_side(panels: &[(&str, Canvas)], columns: u32) -> Canvas {
     sheet
 }
 
-/// What the colours of a picture mean.
+/// The legend of the colours of a picture.
 fn legend_rows(picture: &MapPicture) -> Vec<LegendRow> {
     let mut rows = picture.painter().legend();
     if let (PictureValue::AtLeast(_), Some(first)) = (picture.value, rows.first_mut()) {

@@ -2,7 +2,7 @@
 //!
 //! Invariant: fields have the names, types and order of ROS 2; otherwise readers take the bytes for other values.
 
-/// Line between a definition and that of a type inside.
+/// Line between a definition and the definition of a type inside.
 const SEPARATOR: &str = "================================================================================\n";
 
 /// Name and fields of each type.
@@ -56,7 +56,7 @@ const TYPES: &[(&str, &str)] = &[
     ),
 ];
 
-/// The definition of a type, with those of all types inside; empty for a type that is not known.
+/// The definition of a type, with the definitions of all types inside; empty for a type that is not known.
 pub(crate) fn definition(name: &str) -> String {
     let mut names = vec![name];
     let mut text = String::new();

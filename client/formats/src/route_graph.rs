@@ -7,7 +7,7 @@
 //! Nav2 knows nodes and edges by numbers below 65,536, which are unique among both. The daemon numbers the nodes of a
 //! map and its edges apart, and never uses a number again. Here the numbers come in fours: node `n` is `4 n`, and the
 //! edges `3 k`, `3 k + 1` and `3 k + 2` are `4 k + 1`, `4 k + 2` and `4 k + 3`. So a number follows from the daemon's
-//! alone: whatever is added, renamed or removed, everything else keeps its number.
+//! alone: if an element is added, renamed or removed, all others keep their numbers.
 //!
 //! Invariant: no two features have the same number; every edge joins two nodes of the file; every cost is above 0.
 
@@ -21,7 +21,7 @@ use tidemap_map::{
 };
 use tidemap_model::time::format_rfc3339;
 
-/// What passing an edge costs at the time of the file.
+/// The cost of passing an edge at the time of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeCost {
     /// Probability that an attempt succeeds.
@@ -32,7 +32,7 @@ pub struct EdgeCost {
     pub expected_secs: f64,
 }
 
-/// What a file says about itself.
+/// The data of a file about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GraphHead<'a> {
     /// Name of the map.
@@ -43,7 +43,7 @@ pub struct GraphHead<'a> {
     pub time_nanos: i64,
 }
 
-/// A file, and what is in it.
+/// A file, and the counts of its contents.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteGraph {
     /// The text of the file.

@@ -38,7 +38,7 @@ impl Scalar {
         }
     }
 
-    /// Whether it is an integer type.
+    /// Whether the type is an integer type.
     pub(crate) fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
     }

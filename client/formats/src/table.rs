@@ -1,8 +1,8 @@
 //! Tables of results: aligned columns for people, CSV and JSON for programs.
 //!
 //! Invariant: programs get all columns, numbers in full, and times and durations in seconds. The aligned form is for
-//! people: it rounds, shows times and durations as people read them, and leaves out columns that say nothing. Neither
-//! it nor JSON has an unprintable character of a text; CSV has texts as they are.
+//! people: it rounds, shows times and durations as people read them, and leaves out columns without information. The
+//! aligned form and JSON have no unprintable character of a text; CSV has texts as they are.
 
 pub mod numbers;
 mod times;
@@ -19,7 +19,7 @@ pub use tidemap_map::name::printable;
 
 pub use times::{TimeStyle, offset_text};
 
-/// How results are written.
+/// The format of results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Aligned columns, for people.
@@ -117,7 +117,7 @@ impl Cell {
         }
     }
 
-    /// As a JSON value.
+    /// The value in JSON.
     pub fn json(&self) -> String {
         match self {
             Self::Empty => "null".to_owned(),
@@ -340,7 +340,7 @@ impl<W: Write> TableWriter<W> {
     }
 }
 
-/// People see the unit of a column whose name does not end in it; names are those of programs.
+/// People see the unit of a column whose name does not end in it; names are for programs.
 fn add_unit(header: &mut String) {
     if ["x", "y", "z"].contains(&header.as_str()) {
         *header += " (m)";

@@ -1,8 +1,8 @@
 //! The lines of text files, and of binary files that start with text.
 //!
-//! Invariant: a line without a line end is an error, because a truncated number still looks like a number; except for
-//! the last line of the announced data, whose end some writers leave out. Bytes after the lines read so far are
-//! untouched, so that binary data can follow.
+//! Invariant: a line without a line end is an error, because a truncated number is still a valid number; except for the
+//! last line of the announced data, whose end some writers leave out. Bytes after the lines read so far are untouched,
+//! so that binary data can follow.
 
 use std::str::FromStr;
 
@@ -18,7 +18,7 @@ pub(crate) struct Lines<'a> {
 /// One line, without its end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Line<'a> {
-    /// Its number, from 1.
+    /// The number of the line, from 1.
     pub number: u64,
     /// The line without its ending.
     pub text: &'a str,
@@ -86,7 +86,7 @@ impl<'a> Lines<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// Where the line is in the file, for an error.
+    /// The place of the line in the file, for an error.
     pub(crate) fn place(&self) -> FilePlace {
         FilePlace::Line(self.number)
     }

@@ -1,6 +1,6 @@
 //! Files of topological maps: lines of nodes and links, and the YAML of ROS topological maps.
 //!
-//! Invariant: the content says which of them a file is, not its name. An error names the invalid line or node. In files
+//! Invariant: the content decides the kind of a file, not its name. An error names the invalid line or node. In files
 //! of lines, the daemon checks that the nodes of links exist.
 
 mod yaml;
@@ -39,7 +39,7 @@ pub struct EdgeEntry {
 pub struct TopologyFile {
     pub nodes: Vec<NodeEntry>,
     pub edges: Vec<EdgeEntry>,
-    /// What the file has and is not used, in words.
+    /// The parts of the file that are not used, in words.
     pub notes: Vec<String>,
 }
 

@@ -63,7 +63,7 @@ pub struct PictureEdge {
     pub length: f64,
     /// Probability of a successful traversal.
     pub success: Option<f64>,
-    /// Whether it is part of the route or search.
+    /// Whether the edge is part of the route or search.
     pub is_on_path: bool,
 }
 
@@ -123,8 +123,8 @@ pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> 
     Ok(svg.finish())
 }
 
-/// The side of a node that is farthest from the directions of its edges, below if it can be: where its name stands,
-/// from the middle of the node, and by which of its ends.
+/// The side of a node that is farthest from the directions of its edges, below if possible: the place of its name, from
+/// the middle of the node, and the text anchor.
 fn free_side(node: usize, edges: &[PictureEdge], places: &[[f64; 2]]) -> ([f64; 2], &'static str) {
     const SIDES: [([f64; 2], [f64; 2], &str); 4] = [
         ([0.0, 1.0], [0.0, DISC + 14.0], "middle"),
@@ -148,7 +148,7 @@ fn free_side(node: usize, edges: &[PictureEdge], places: &[[f64; 2]]) -> ([f64; 
     let mut best = (f64::INFINITY, SIDES[0]);
     for side in SIDES {
         let found = closeness(side.0);
-        // An angle of 45 degrees leaves room enough: the first such side is as good as a better one.
+        // An angle of 45 degrees leaves enough room: the first such side is taken.
         let found = if found < 0.71 { -1.0 } else { found };
         if found < best.0 - 1e-6 {
             best = (found, side);

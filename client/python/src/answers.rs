@@ -1,4 +1,4 @@
-//! Comparisons with given observations, and what was observed.
+//! Comparisons with given observations, and the history of observations.
 //!
 //! Invariant: one entry for each row of the answer, in the order of the daemon.
 
@@ -11,8 +11,8 @@ use crate::{client::NativeClient, failure, observe::Columns, rpc::model_named, w
 /// Rows of an answer.
 type Dicts<'py> = Vec<Bound<'py, PyDict>>;
 
-/// Compares models with observations, which are not learned: a row for each state, model and order, and what could not
-/// be compared.
+/// Compares models with observations, which are not learned: a row for each state, model and order, and the states that
+/// could not be compared.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "Python names them")]
 pub(crate) fn evaluate<'py>(
@@ -66,7 +66,7 @@ pub(crate) fn evaluate<'py>(
 /// Times and values.
 type Series<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// What was observed of a state from one time up to, not including, another.
+/// The observations of a state from one time up to, not including, another.
 #[pyfunction]
 pub(crate) fn history<'py>(
     py: Python<'py>,

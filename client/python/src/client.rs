@@ -1,6 +1,6 @@
-//! The connection to a daemon, and its questions with many numbers: these go as arrays, all others as JSON.
+//! The connection to a daemon, and its requests with many numbers: these are passed as arrays, all others as JSON.
 //!
-//! Invariant: arrays have one row for each state and one column for each time, in the order that was asked.
+//! Invariant: arrays have one row for each state and one column for each time, in the order of the request.
 
 use std::{
     collections::HashMap,
@@ -27,8 +27,8 @@ use crate::{
     waiting::{Maker, runtime, wait},
 };
 
-/// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that
-/// of a state, or `STATE/LABEL` of a label of a categorical one.
+/// Predicted values, bounds of the intervals if requested, entropies, the evidence of each row, and its name: the name
+/// of a state, or `STATE/LABEL` for a label of a categorical state.
 type PredictedArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,
@@ -37,8 +37,8 @@ type PredictedArrays<'py> = (
     Vec<String>,
 );
 
-/// What stands behind the predictions of a state: the model that answered, its order, the number of observations and of
-/// those that no update has learned, and the time of the newest.
+/// The evidence for the predictions of a state: the model that answered, its order, the number of observations and of
+/// observations that no update has learned, and the time of the newest observation.
 type Evidence = (Option<String>, u32, u64, u64, Option<i64>);
 
 fn evidence(run: &PredictionRun) -> Evidence {
@@ -74,13 +74,13 @@ impl PredictedRow {
     }
 }
 
-/// The rows of all states, or the name of one that is a position.
+/// The rows of all states, or the name of a state that is a position.
 async fn predicted_rows(
     mut predictions: Predictions,
     count: usize,
 ) -> Result<Result<Vec<PredictedRow>, String>, tidemap_client::Error> {
     let mut rows: Vec<PredictedRow> = Vec::with_capacity(predictions.states().len());
-    // Of each state and label, its row: long runs of times come in pieces.
+    // The row of each state and label: long runs of times come in pieces.
     let mut places = HashMap::new();
     while let Some(run) = predictions.next().await? {
         let state = &predictions.states()[run.state];
@@ -98,7 +98,7 @@ async fn predicted_rows(
     Ok(Ok(rows))
 }
 
-/// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
+/// A sighting of landmarks: place, part of the edge, time, names seen, names out of view.
 type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);
 
 /// A client of a daemon.
@@ -106,7 +106,7 @@ type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>)
 pub(crate) struct NativeClient {
     server: String,
     credentials: Credentials,
-    // Taken with the interpreter's lock alone, so that a child of a fork never finds it held.
+    // This lock is taken only with the interpreter's lock, so that a child of a fork never finds it held.
     held: Mutex<Held>,
 }
 
@@ -135,7 +135,7 @@ impl NativeClient {
     /// The client of the library, and its turns. A child of a fork gets connections of its own.
     ///
     /// # Errors
-    /// It is closed.
+    /// The client is closed.
     pub(crate) fn client(&self, py: Python<'_>) -> PyResult<(Client, Room)> {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         if held.client.is_none() {
@@ -144,7 +144,7 @@ impl NativeClient {
         }
         if held.maker != Maker::here() {
             let client = connected(py, &self.server, &self.credentials)?;
-            // What the parent has open is the parent's: to drop it here would touch threads that are not there.
+            // The connections belong to the parent: to drop them here would touch threads that do not exist here.
             std::mem::forget(held.client.replace(client));
             held.maker = Maker::here();
         }
@@ -176,7 +176,7 @@ impl NativeClient {
     }
 }
 
-/// What became of what was sent, or the exception.
+/// The counts of the rows that were sent, or the exception.
 fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, PyDict>> {
     let counts = match outcome {
         Outcome::Whole(counts) => counts,
@@ -194,7 +194,7 @@ fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, Py
 
 #[pymethods]
 impl NativeClient {
-    /// Connects when it is first asked something.
+    /// Makes a client that connects at its first request.
     #[new]
     #[pyo3(signature = (server, token=None, ca=None, certificate=None, key=None))]
     fn new(
@@ -241,16 +241,16 @@ impl NativeClient {
         }
     }
 
-    /// Checks that a kind exists and goes with how states are reported, before anything is withdrawn or sent.
+    /// Checks that a kind exists and fits the reporting of the states, before anything is withdrawn or sent.
     #[pyo3(signature = (kind, reporting=None))]
     #[expect(clippy::unused_self, reason = "Python has the client at hand")]
     fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<SaidReporting>) -> PyResult<()> {
         states_of(py, kind, reporting).map(drop)
     }
 
-    /// Sends observations, each exactly once; those that the daemon has are compared. `positions` has the coordinates
-    /// of vectors, one row each, in the place of the values. `progress` is called with the number of durable ones and
-    /// of all. NaN of changes and events: no value is known from then on.
+    /// Sends observations, each exactly once; observations that the daemon has are compared. `positions` has the
+    /// coordinates of vectors, one row each, in place of the values. `progress` is called with the number of durable
+    /// observations and of all. NaN in changes and events: no value is known from then on.
     #[pyo3(signature = (
         map, states, state_indices, times_nanos, values, producer, label, kind, nightly, positions=None, progress=None,
         reporting=None

@@ -33,7 +33,7 @@ pub(crate) fn cell_box([x, y, z, to_x, to_y, to_z]: [i32; 6]) -> CellBox {
     CellBox { min: CellIndex { x, y, z }, max: CellIndex { x: to_x, y: to_y, z: to_z } }
 }
 
-/// The cells of an array: those that were asked for, also where nothing was ever seen. A projected grid has one layer.
+/// The cells of an array: the requested cells, also where nothing was ever seen. A projected grid has one layer.
 fn cells_of(answer: &WholeGrid, query: &GridQuery) -> CellBox {
     let known = answer.header.region;
     let asked = query.region.unwrap_or(known);
@@ -121,7 +121,7 @@ pub(crate) fn seen_tiles(cells: ArrayView3<'_, i8>, first_cell: [i32; 3]) -> Vec
     tiles.into_iter().map(masks).collect()
 }
 
-/// Sends all grids and waits until they are durable; those that the daemon has are compared.
+/// Sends all grids and waits until they are durable; grids that the daemon has are compared.
 pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGrids) -> Outcome {
     let (name, label) = (options.producer.clone(), options.label.clone());
     let mut producer = match Producer::open(&client, options).await {

@@ -15,7 +15,7 @@ use tidemap_model::{
 
 use crate::{failure, zones::zone_named};
 
-/// A model that was trained on readings. It keeps them: a copy of the model, in another process or from a file, is
+/// A model that was trained on readings, which it keeps: a copy of the model, in another process or from a file, is
 /// trained anew on the same readings, and so gives the same numbers in every version of the package.
 #[pyclass(frozen, module = "tidemap._native")]
 pub(crate) struct NativeModel {
@@ -110,7 +110,7 @@ impl NativeModel {
         Ok(Self { model, zone, kind, parameters, state_kind, times_nanos: times, values })
     }
 
-    /// How pickle makes it: by training.
+    /// The way in which pickle makes the model: by training.
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, this) = (slf.py(), slf.get());
         let arguments = (
@@ -125,17 +125,17 @@ impl NativeModel {
         Ok((py.import("tidemap.models")?.getattr("trained_anew")?, arguments.into_pyobject(py)?))
     }
 
-    /// It never changes.
+    /// Returns the model itself, which never changes.
     fn __copy__(slf: Bound<'_, Self>) -> Bound<'_, Self> {
         slf
     }
 
-    /// It never changes.
+    /// Returns the model itself, which never changes.
     fn __deepcopy__<'py>(slf: Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
         slf
     }
 
-    /// The rhythms that predict, the strongest first; `None` of other models than the spectral one.
+    /// The rhythms that predict, the strongest first; `None` for other models than the spectral one.
     fn rhythms(&self) -> Option<Rhythms> {
         match &self.model {
             TrainedModel::Spectral(model) => Some((model.mean(), model.rhythms())),

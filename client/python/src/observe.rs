@@ -1,6 +1,6 @@
 //! Sends the rows of arrays. Rows that the daemon has already are compared, not sent.
 //!
-//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once a row is durable, it counts as
 //! exactly one of accepted, duplicate and refused.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,9 +18,9 @@ use crate::{
     reports::{SaidReporting, stated},
 };
 
-/// Refusals that are told in words.
+/// Maximum number of refusals that are reported in words.
 const REFUSALS_TOLD: usize = 100;
-/// Rows between two looks at the refusals.
+/// Rows between two checks of the refusals.
 const CHUNK: usize = 32_768;
 
 /// Observations in columns: row i is of `states[state_indices[i]]`.
@@ -71,7 +71,7 @@ impl Columns {
     }
 }
 
-/// What is sent, one number of the sequence each.
+/// The items to send, one number of the sequence each.
 pub(crate) enum Rows {
     Values(Columns),
     /// Coordinates in metres, one row each, in the place of the values.
@@ -127,7 +127,7 @@ impl Rows {
     }
 }
 
-/// What became of the rows.
+/// The counts of the rows that were sent.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SentCounts {
     /// Rows that are durable now, of this call or before.
@@ -139,10 +139,10 @@ pub(crate) struct SentCounts {
     pub(crate) refusals: Vec<(u64, String)>,
 }
 
-/// How sending ended.
+/// The end of sending.
 pub(crate) enum Outcome {
     Whole(SentCounts),
-    /// The rows are not those that were sent before; how.
+    /// The rows differ from the rows that were sent before; the text states how.
     Differs(String),
     Stopped(ProducerError),
 }
@@ -158,7 +158,7 @@ fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
 /// The kind whose rows are labels.
 pub(crate) const CATEGORICAL: &str = "categorical";
 
-/// What a producer says of its states: their kind and how they are reported, which go together.
+/// The states of a producer: their kind and their reporting, which go together.
 pub(crate) fn states_of(
     py: Python<'_>,
     kind: Option<&str>,
@@ -222,7 +222,7 @@ pub(crate) async fn send(
     Outcome::Whole(counts)
 }
 
-/// What was sent before is not the beginning of this.
+/// The exception if the data that was sent before is not the beginning of this data.
 pub(crate) fn differs(producer: &str, label: &str, how: &str, may_replace: bool) -> Outcome {
     let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
     let replace = if may_replace { ", or replace what was sent (replace=True)" } else { "" };

@@ -1,6 +1,6 @@
 //! A producer that stays open: observations, scans and traversals as they come.
 //!
-//! Invariant: a call that returns a number has handed over what it was given; nothing is sent for one that raises.
+//! Invariant: a call that returns a number has handed its observations over; nothing is sent for a call that raises.
 
 use std::{future::Future, pin::Pin, sync::Arc};
 
@@ -25,13 +25,13 @@ pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
 /// Smallest length of a quaternion that still has a direction.
 const QUATERNION_MIN: f64 = 1e-6;
 
-/// Of a refusal: its number, the name of its reason and the reason in words.
+/// A refusal: its number, the name of its reason and the reason in words.
 type Refused = (u64, Option<String>, String);
 
-/// What a call does with the producer.
+/// The work of a call with the producer.
 type Work<'a, T> = Pin<Box<dyn Future<Output = Result<T, ProducerError>> + Send + 'a>>;
 
-/// A producer for observations as they come; what it has taken is sent in the background.
+/// A producer for observations as they come; observations that it has taken are sent in the background.
 #[pyclass(frozen)]
 pub(crate) struct OpenProducer {
     producer: Arc<tokio::sync::Mutex<Option<Producer>>>,
@@ -167,7 +167,8 @@ impl OpenProducer {
         self.with(py, move |producer| Box::pin(async move { producer.send_traversal(&report).await }))
     }
 
-    /// How far it is: `phase` is connecting, connected, waiting or ended; `error` says why it waits or has ended.
+    /// The progress: `phase` is connecting, connected, waiting or ended; `error` is the reason for waiting or for the
+    /// end.
     fn progress<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let known = |producer: &mut Producer| Ok((producer.progress(), producer.last_sequence()));
         let (progress, last) = self.with(py, move |producer| Box::pin(std::future::ready(known(producer))))?;
@@ -216,7 +217,7 @@ impl OpenProducer {
         wait(py, closed, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
     }
 
-    /// Ends at once; what is not durable may or may not become so.
+    /// Ends at once; observations that are not durable may or may not become durable.
     fn abandon(&self, py: Python<'_>) -> PyResult<()> {
         self.maker.check(py, "producer")?;
         let producer = Arc::clone(&self.producer);

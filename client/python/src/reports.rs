@@ -1,6 +1,6 @@
-//! How states are reported, the words for values, and durations with a unit.
+//! The reporting of states, the words for values, and durations with a unit.
 //!
-//! Invariant: what is said of states is checked before anything is sent.
+//! Invariant: the stated reporting is checked before anything is sent.
 
 use pyo3::prelude::*;
 use tidemap_client::maps::{RowKind, StatedReporting};
@@ -11,11 +11,11 @@ use tidemap_model::{
 
 use crate::failure;
 
-/// What rows are, the longest time for which one says something, and the time between two readings that are learned;
+/// The kind of rows, the longest time for which a row is valid, and the time between two readings that are learned;
 /// nanoseconds.
 pub(crate) type SaidReporting = (String, Option<i64>, Option<i64>);
 
-/// What is said of states, checked.
+/// The stated reporting of states, checked.
 pub(crate) fn stated(py: Python<'_>, (word, hold_max, hold_step): SaidReporting) -> PyResult<StatedReporting> {
     let kind = RowKind::ALL.into_iter().find(|kind| kind.name() == word).ok_or_else(|| {
         failure::invalid(py, &format!("reports={word:?} is not known: use \"samples\", \"changes\" or \"events\""))
@@ -29,7 +29,7 @@ pub(crate) fn stated(py: Python<'_>, (word, hold_max, hold_step): SaidReporting)
     stated.map_err(|error| failure::invalid(py, &error.to_string()))
 }
 
-/// What is said of states, checked: what rows are, and both durations in seconds where they are said.
+/// The stated reporting of states, checked: the kind of rows, and both durations in seconds if they are stated.
 #[pyfunction]
 #[pyo3(signature = (reports, hold_max_nanos=None, hold_step_nanos=None))]
 pub(crate) fn stated_reporting(

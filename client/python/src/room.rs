@@ -1,7 +1,7 @@
-//! Requests that wait for their turn: the client sends no more at a time than a daemon takes of one client, and asks
-//! again where the daemon has no room.
+//! Requests that wait for their turn: the client sends no more at a time than a daemon takes from one client, and sends
+//! a request again if the daemon has no room.
 //!
-//! Invariant: a request is sent again only where the daemon did nothing, and said when to come again.
+//! Invariant: a request is sent again only if the daemon did nothing, and stated the time of the next attempt.
 
 use std::{
     future::Future,
@@ -17,15 +17,15 @@ use tokio::{
 };
 use tonic::Status;
 
-/// Requests of a client at a time: half of what a daemon takes of one client by default.
+/// Requests of a client at a time: half of the number that a daemon takes from one client by default.
 const AT_ONCE: usize = 64;
-/// A request that found no room for so long is given up.
+/// A request that found no room for this long is given up.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Least time between two tries; it doubles with each try, up to the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-/// An error that may say when the same request will find room.
+/// An error that may state when the same request will find room.
 pub(crate) trait Hint {
     /// After which time; `None`: it is final.
     fn hint(&self) -> Option<Duration>;
@@ -53,13 +53,13 @@ pub(crate) struct Turn {
 }
 
 impl Room {
-    /// All turns.
+    /// Makes a room in which all turns are free.
     pub(crate) fn new() -> Self {
         Self(Arc::new(Semaphore::new(AT_ONCE)))
     }
 
-    /// Asks when it is this request's turn, and again as long as the daemon has no room. Gives the answer, with the
-    /// turn that it has.
+    /// Sends a request when its turn comes, and again as long as the daemon has no room. Returns the reply, with the
+    /// turn of the request.
     pub(crate) async fn ask<T, E: Hint, F: Future<Output = Result<T, E>>>(
         &self,
         ask: impl Fn() -> F,
@@ -86,7 +86,7 @@ impl Room {
     }
 }
 
-/// A time between one and two times as long, so that those who were refused together do not come again together.
+/// A time between `wait` and two times `wait`, so that requests that were refused together do not come again together.
 fn spread(wait: Duration) -> Duration {
     let random = RandomState::new().hash_one(0_u8);
     wait.mul_f64(1.0 + (random % 1024) as f64 / 1024.0)

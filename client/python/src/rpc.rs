@@ -158,7 +158,7 @@ impl Replies {
         wait(py, next, |_| Ok(()))?.map_err(|status| raised(py, &self.server, &status))
     }
 
-    /// Wants no further reply: a thread that waits for one gets the end.
+    /// Ends the stream: no further reply is wanted. A thread that waits for a reply gets the end of the stream.
     fn cancel(&self) {
         self.ended.send_replace(true);
     }

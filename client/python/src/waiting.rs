@@ -1,7 +1,7 @@
 //! Waiting for the daemon without holding the interpreter.
 //!
-//! Invariant: a wait that Python interrupts ends at once, and drops what it waited for. A process has a runtime of its
-//! own: after a fork, the threads of the one before are not there.
+//! Invariant: a wait that Python interrupts ends at once, and drops its future. A process has a runtime of its own:
+//! after a fork, the threads of the parent do not exist.
 
 use std::{
     future::Future,
@@ -14,7 +14,7 @@ use tokio::runtime::{Builder, Runtime};
 
 use crate::failure;
 
-/// How often Python is asked whether Ctrl-C was pressed.
+/// The interval of the checks whether Ctrl-C was pressed.
 const SIGNALS_EVERY: Duration = Duration::from_millis(50);
 
 /// The process that made something which has threads or connections.
@@ -27,7 +27,7 @@ impl Maker {
         Self(std::process::id())
     }
 
-    /// Refuses what another process has made: it was copied by a fork, and nobody answers in its connections.
+    /// Refuses what another process has made: it was copied by a fork, and its connections have no answering thread.
     pub(crate) fn check(self, py: Python<'_>, what: &str) -> PyResult<()> {
         if self == Self::here() {
             return Ok(());
@@ -42,7 +42,8 @@ static RUNTIME: Mutex<Option<(Maker, &'static Runtime)>> = Mutex::new(None);
 
 /// The runtime of all clients of the process.
 pub(crate) fn runtime() -> PyResult<&'static Runtime> {
-    // Held with the interpreter's lock, which a fork by Python has as well: no child finds it held.
+    // This lock is held only with the interpreter's lock. A fork by Python holds the interpreter's lock, too, so that
+    // no child finds this lock held.
     let mut held = RUNTIME.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((maker, runtime)) = *held
         && maker == Maker::here()

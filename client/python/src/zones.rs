@@ -1,6 +1,7 @@
-//! Offsets of time zones, from the bundled database: what an hour of a map is called in its zone.
+//! Offsets of time zones, from the bundled database: the local name of an hour of a map.
 //!
-//! Invariant: the offsets are those that the models and the daemon use, whatever the machine has installed.
+//! Invariant: the offsets are equal to the offsets of the models and the daemon, whatever zones the machine has
+//! installed.
 
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;

@@ -48,7 +48,7 @@ def test_what_was_sent_can_be_replaced_or_erased(client):
     assert len(client.history(client.name, "door")["value"]) == len(when), "nothing is withdrawn for a mistake"
     again = client.observe(client.name, states="door", times=when[:-1], values=1 - value[:-1], replace=True)
     assert again.accepted == len(when) - 1
-    # Where nothing was sent, nothing is withdrawn.
+    # If nothing was sent, nothing is withdrawn.
     other = client.observe(client.name, states="hatch", times=when, values=value, label="b", replace=True)
     assert other.accepted == len(when)
     assert client.history(client.name, "door")["value"].tolist() == (1 - value[:-1]).tolist()
@@ -68,7 +68,7 @@ def test_a_producer_that_will_not_come_back_frees_its_places(client):
     assert client.forget_producer(client.name, "robot") == 1, "the other label"
     with pytest.raises(tidemap.NotFound, match="robot"):
         client.forget_producer(client.name, "robot")
-    # What it has sent stays, and keeps its numbers.
+    # The observations of the producer stay, and keep their numbers.
     again = client.observe(client.name, states="door", times=when, values=value, producer="robot", label="a")
     assert (again.accepted, again.duplicate) == (0, len(when))
 

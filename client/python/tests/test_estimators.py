@@ -88,10 +88,10 @@ def test_times_without_a_zone_need_a_word_in_a_zone():
     assert after > 0.7 > before
 
 
-# Of one column there is nothing that check_estimator could try. So all but the width of X is checked on the first
-# column of its data.
+# check_estimator has no data with one column to try. So all but the width of X is checked on the first column of its
+# data.
 WIDTH = {"check_n_features_in", "check_n_features_in_after_fitting", "check_classifiers_train"}
-# Its small integers may be seconds or nanoseconds, and are refused.
+# The small integers of check_estimator may be seconds or nanoseconds, and are refused.
 INTEGERS = {"check_estimators_dtypes", "check_classifier_data_not_an_array"}
 
 

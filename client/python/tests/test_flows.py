@@ -1,6 +1,6 @@
 """Flows of people: learned from positions and velocities, predicted by cell.
 
-Invariant: what is expected follows from what was sent.
+Invariant: expected values follow from the observations that were sent.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Frames in: long and wide ones, the words and columns of a file's own, and what is not a measurement."""
+"""Input frames: long and wide ones, a file's own words and columns, and markers that are no measurement."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_columns_and_words_of_a_smart_home(daemon):
         ("2026-07-01 10:00:00+02:00", "cover.blind", 1),
         ("2026-07-01 11:00:00+02:00", "cover.blind", 0.5),
     ]
-    # What was read goes back as it is.
+    # The rows that were read go back unchanged.
     assert client.observe("smart-home", client.history("smart-home"), label="again").accepted == 4
     client.delete_map("smart-home")
 
@@ -78,7 +78,7 @@ def test_words_and_numbers():
     found = frames.numbers(["on", "OFF", True, "21.5", 3, None, "unknown", " closed ", float("nan")])
     assert np.array_equal(found.values, [1, 0, 1, 21.5, 3, np.nan, np.nan, 0, np.nan], equal_nan=True)
     assert found.missing == {"none": 1, "unknown": 1, "NaN": 1} and found.mapped == 3
-    # Only a word says that no value is known; None and NaN are empty cells of a wide frame.
+    # Only a word means that no value is known; None and NaN are empty cells of a wide frame.
     assert np.flatnonzero(found.said).tolist() == [6]
     found = frames.numbers(["home", "away", "lost"], {"home": 1, "away": 0, "lost": None})
     assert np.array_equal(found.values, [1, 0, np.nan], equal_nan=True) and found.missing == {"lost": 1}
@@ -87,7 +87,7 @@ def test_words_and_numbers():
     assert frames.numbers(np.array([True, 1], dtype=object), {"true": 0}).values.tolist() == [0, 1]
     with pytest.raises(tidemap.InvalidArgument, match="number or a word"):
         frames.numbers(np.array([[1], {}], dtype=object))
-    # Any word is an event, but for those that say that nothing is known.
+    # Any word is an event, except for words that mean that nothing is known.
     assert frames.numbers(["ring", "off", "unavailable"], reports="events").values[:2].tolist() == [1, 1]
 
 

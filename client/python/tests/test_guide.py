@@ -53,7 +53,7 @@ def test_the_example_of_flows_runs():
 def test_the_example_of_ones_own_data_runs(tmp_path, monkeypatch):
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
-    # As the sample of a home is written, with fewer sensors.
+    # The file has the form of the sample of a home, with fewer sensors.
     rows = [
         (day + pandas.Timedelta(hour, "h"), sensor, word)
         for day in pandas.date_range("2025-02-01", "2025-04-24")

@@ -1,6 +1,6 @@
 """Landmarks: added, seen, predicted, and used to find places.
 
-Invariant: what is expected follows from what was sent.
+Invariant: expected values follow from the observations that were sent.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The models in process: what they learn, and that they are estimators of scikit-learn."""
+"""The models in process: their predictions, and the rules of scikit-learn for estimators."""
 
 from __future__ import annotations
 

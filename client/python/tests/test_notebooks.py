@@ -1,4 +1,4 @@
-"""The notebooks of the guide run, and show what they promise."""
+"""The notebooks of the guide run, and show the promised results."""
 
 from __future__ import annotations
 

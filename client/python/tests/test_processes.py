@@ -26,7 +26,7 @@ def learned(client) -> None:
 
 
 def in_child(work) -> str:
-    """What the work gives in a child of a fork; it must end within a minute."""
+    """The result of the work in a child of a fork; it must end within a minute."""
     read, write = os.pipe()
     child = os.fork()
     if child == 0:

@@ -32,7 +32,7 @@ def value(client, name: str, x_m: float, y_m: float, z_m: float = 0.1) -> float:
 
 def test_ranges_are_cast_from_the_pose_of_the_sensor(client, yard):
     with client.producer(yard, "robot") as robot:
-        # Half a turn: the sensor looks along -x, so that what it sees ahead is behind x = 1.
+        # Half a turn: the sensor points along -x, so that its echoes lie at x < 1.
         turned = (1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0)
         number = robot.send_ranges(NOON, turned, [3.2], angle_min_rad=0, angle_increment_rad=0.1, max_range_m=10)
         assert (number, robot.flush(), robot.progress.phase) == (1, 1, "connected")

@@ -43,7 +43,7 @@ def test_an_empty_cell_of_a_wide_frame_is_no_row(client):
     )
     sent = client.observe(client.name, wide, reports="changes")
     assert (sent.read, sent.accepted, sent.mapped) == (8, 4, 3)
-    # Which marker an empty cell is depends on the version of pandas.
+    # The marker that an empty cell becomes depends on the version of pandas.
     assert sent.without_value["unavailable"] == 1 and sum(sent.without_value.values()) == 5
     assert client.history(client.name)["value"].fillna(-1).tolist() == [1, -1, 1, 0]
 
@@ -68,7 +68,7 @@ def test_states_say_how_they_are_reported(client):
     client.add_state(client.name, "door", reports="changes", hold_max="1d", hold_step=np.timedelta64(10, "m"))
     client.add_state(client.name, "bell", reports="events", hold_step=pandas.Timedelta("15min"))
     client.add_state(client.name, "plain")
-    # Again is the same, also with what the table says.
+    # Sending again with the reporting from the table gives the same result.
     table = client.states(client.name).set_index("state")
     door = table.loc["door"]
     client.add_state(client.name, "door", reports=door["reports"], hold_max=door["hold_max"])
@@ -143,7 +143,7 @@ def test_changes_sent_as_readings_are_told(client):
         warnings.simplefilter("error")
         client.observe(client.name, frame.assign(state="b"), label="b", reports="samples")
         client.observe(client.name, frame.assign(state="c"), label="c", reports="changes")
-        # What is known of a state need not be said again.
+        # The known reporting of a state need not be stated again.
         client.observe(client.name, frame.assign(state="c"), label="d")
         slow = pandas.DataFrame({"time": DAYS, "state": "slow", "value": np.arange(21) // 7 % 2})
         client.observe(client.name, slow, label="e")

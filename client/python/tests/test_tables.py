@@ -247,7 +247,7 @@ def test_the_same_calls_with_await(daemon):
                 await client.observe("waiting", strange, label=f"night {nights}")
                 await asyncio.sleep(0.05)
             assert (await seen)["states"] == ["door"]
-            # One that waits for nothing more ends with the client.
+            # An iterator that waits for nothing more ends with the client.
             waiting = asyncio.ensure_future(watch.__anext__())
             await asyncio.sleep(0.05)
             watch.close()

@@ -67,7 +67,7 @@ def test_times_without_a_zone_need_a_word():
     assert nanos("2026-01-05T14:00:00", "local", "Europe/Prague") == [AT_13]
     assert nanos("2026-07-05T14:00:00", "local", "Europe/Prague") == nanos("2026-07-05T12:00:00Z")
     assert nanos("2026-01-05T13:00:00", "UTC", "Europe/Prague") == [AT_13]
-    # Times with a zone need none, also between those that have none.
+    # Times with a zone need no ``zone``, also between times without one.
     mixed = ["2026-01-05T14:00:00", "2026-01-05T12:00:00Z"]
     assert nanos(mixed, "local", "Europe/Prague") == [AT_13, *nanos(mixed[1])]
     with pytest.raises(tidemap.InvalidArgument, match="Mars"):

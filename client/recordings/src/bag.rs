@@ -19,7 +19,7 @@ use crate::{
     topics::Topics,
 };
 
-/// What a bag of format 2.0 begins with.
+/// The first bytes of a bag of format 2.0.
 pub const MAGIC: &[u8; 13] = b"#ROSBAG V2.0\n";
 
 /// The headers that the format knows have some hundred bytes, and a connection's name of a topic.
@@ -39,7 +39,7 @@ const OP_CONNECTION: u8 = 7;
 /// Reads a bag of format 2.0. Records of kinds that the format does not know are passed over.
 ///
 /// # Errors
-/// If the source cannot be read, is no such bag, is encrypted, breaks the format or the limits of
+/// If the source cannot be read, is no bag of format 2.0, is encrypted, breaks the format or the limits of
 /// [`recording`](crate::recording), or the sink wants no more.
 pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
     let mut reader = BagReader::new(source);
@@ -53,7 +53,7 @@ pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, Recording
     }
 }
 
-/// What to do with a bag of another version; `None` if these are not the first bytes of one.
+/// Advice for a bag of another version; `None` if these are not the first bytes of a bag.
 pub(crate) fn other_version(bytes: &[u8]) -> Option<String> {
     let line = bytes.strip_prefix(b"#")?.split(|byte| *byte == b'\n').next()?;
     if bytes.starts_with(MAGIC) || !(line.starts_with(b"ROSRECORD V") || line.starts_with(b"ROSBAG V")) {
@@ -68,7 +68,7 @@ pub(crate) fn other_version(bytes: &[u8]) -> Option<String> {
 
 struct BagReader<R> {
     source: ByteSource<R>,
-    /// Where the reading is, for the text of a file that is cut off.
+    /// The place of the reading, for the text of a file that is cut off.
     place: &'static str,
     header: Vec<u8>,
     data: Vec<u8>,
@@ -402,8 +402,8 @@ impl<'a> Header<'a> {
     }
 }
 
-/// Whether bytes look like the begin of a record: a header's length, a field's length within it, a name and `=`. Where
-/// the file ends, nothing speaks against it.
+/// Whether bytes have the form of the begin of a record: a header's length, a field's length within it, a name and `=`.
+/// A missing field at the end of the file is no counter-evidence.
 fn begins_record(bytes: &[u8]) -> bool {
     let mut rest = Fields(bytes);
     let (Some(header), Some(field)) = (rest.u32(), rest.u32()) else { return true };

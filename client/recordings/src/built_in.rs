@@ -1,6 +1,6 @@
-//! Definitions of the usual types, for recordings that hold none, as those of rosbag2 before 2023.
+//! Definitions of the usual types, for recordings that hold none, such as recordings of rosbag2 before 2023.
 //!
-//! Invariant: the fields are those of the published types, in their order. A type that changed between versions of ROS
+//! Invariant: the fields are the fields of the published types, in order. A type that changed between versions of ROS
 //! is not here: its bytes could not be read with certainty.
 
 use crate::definition::{self, Definition};

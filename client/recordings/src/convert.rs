@@ -24,13 +24,13 @@ use crate::{
 /// Maximum number of characters of a value in a message.
 const SHOWN_CHARS: usize = 80;
 
-/// Which clock gives the times of observations.
+/// The clock that gives the times of observations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Clock {
-    /// That of the robot, which stamps messages; the recorder's for messages without a stamp.
+    /// The clock of the robot, which stamps messages; the recorder's clock for messages without a stamp.
     #[default]
     Stamps,
-    /// That of the recorder.
+    /// The clock of the recorder.
     Recorder,
 }
 
@@ -77,7 +77,7 @@ pub struct PlacedGrid {
     pub percents: Vec<i8>,
 }
 
-/// What was made.
+/// The data that is made of one message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Made {
     /// A scan.
@@ -86,7 +86,7 @@ pub enum Made {
     Cloud(PlacedCloud),
     /// A grid.
     Grid(PlacedGrid),
-    /// A value of a state; the rule has its index among those of the topic.
+    /// A value of a state; the rule is numbered among the rules of the topic.
     Value {
         /// Name of the state.
         state: String,
@@ -117,11 +117,11 @@ pub enum Made {
         from: String,
         /// The node where it ends.
         to: String,
-        /// When the traversal began, nanoseconds since 1970; it ended at the time of the observation.
+        /// The start of the traversal, nanoseconds since 1970; it ended at the time of the observation.
         start_nanos: i64,
         /// Whether the robot arrived.
         success: bool,
-        /// How it ended, if the robot did not arrive.
+        /// The reason of the end, if the robot did not arrive.
         reason: String,
     },
 }
@@ -129,9 +129,9 @@ pub enum Made {
 /// An observation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Item {
-    /// Its time, nanoseconds since 1970.
+    /// The time, nanoseconds since 1970.
     pub time_nanos: i64,
-    /// What was made.
+    /// The data of the observation.
     pub made: Made,
 }
 
@@ -141,13 +141,13 @@ pub enum NotMade {
     /// The pose of its frame is not known.
     #[error("{0}")]
     NoTransform(#[from] FrameError),
-    /// No frame was chosen: no transforms say where the robot was.
+    /// No frame was chosen: no transforms give the position of the robot.
     #[error("nothing in the recording says where {0:?} was")]
     NoFrame(String),
     /// Another scan of the topic was taken shortly before.
     #[error("left out, because one shortly before is taken")]
     Thinned,
-    /// The value stands for none of the state.
+    /// The value maps to no value of the state.
     #[error("the value {0:?} stands for no value of the state")]
     LeftOut(String),
     /// The sensor has seen nothing, or the grid has no known cells.
@@ -158,7 +158,7 @@ pub enum NotMade {
         "its points are in {0:?} already, so where the sensor was is not known; --frame {0} takes it as the sensor's place"
     )]
     NoSensor(String),
-    /// Its values are wrong.
+    /// Values of the message are wrong.
     #[error("{0}")]
     Wrong(String),
 }
@@ -169,14 +169,14 @@ impl From<KnownError> for NotMade {
     }
 }
 
-/// How messages become observations, apart from the plan.
+/// The options of the conversion of messages to observations, apart from the plan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConvertOptions {
     /// The clock that gives the times.
     pub clock: Clock,
-    /// Of points of a cloud that end in the same of these cells, the first is taken; all if absent.
+    /// The points of a cloud that end in the same of these cells are merged: the first is taken; all if absent.
     pub merge: Option<CellSize>,
-    /// Of the scans, clouds and grids of a topic, one is taken in each of these times, nanoseconds; all if 0.
+    /// One of the scans, clouds and grids of a topic is taken in each period of this length, nanoseconds; all if 0.
     pub period_nanos: i64,
 }
 
@@ -206,14 +206,15 @@ impl Converter {
         self.connections.clear();
     }
 
-    /// Takes a topic of the file, as [`crate::recording::Sink::topic`]. Returns whether its messages become anything.
+    /// Takes a topic of the file, like [`crate::recording::Sink::topic`]. Returns whether its messages become
+    /// observations.
     pub fn topic(&mut self, topic: &Topic) -> bool {
         let (index, _) = self.table.index(topic);
         self.connections.push(connection(topic, index));
         self.plan.topics.get(index).is_some_and(TopicPlan::is_observed)
     }
 
-    /// Index of the topic of a connection of the file among those of the survey.
+    /// Index of the topic of a connection of the file among the topics of the survey.
     pub fn topic_index(&self, of_file: usize) -> Option<usize> {
         self.connections.get(of_file).map(|connection| connection.topic)
     }
@@ -273,8 +274,8 @@ impl Converter {
         }
     }
 
-    /// As [`Converter::pose`], for a sensor. Points that somebody has put into a frame that does not move come from
-    /// elsewhere.
+    /// The pose of a sensor, as [`Converter::pose`] gives it. Points that a program has put into a frame that does not
+    /// move come from elsewhere.
     fn sensor_pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
         if self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {
             return Err(NotMade::NoSensor(frame.to_owned()));
@@ -375,7 +376,7 @@ fn no_name() -> NotMade {
 }
 
 /// A range as the grid takes it. By REP 117, infinity is no echo, minus infinity an object too near, and NaN no
-/// reading; readings outside of the sensor's limits say nothing.
+/// reading; readings outside of the sensor's limits carry no information.
 fn taken_range(scan: &LaserScan<'_>, range_m: f64) -> f32 {
     if scan.is_valid(range_m) || range_m == f64::INFINITY { range_m as f32 } else { f32::NAN }
 }

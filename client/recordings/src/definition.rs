@@ -91,14 +91,14 @@ pub enum FieldType {
     Named(String),
 }
 
-/// How many values a field has.
+/// The number of values of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
     /// One.
     One,
-    /// So many, whatever the message.
+    /// This number, whatever the message contains.
     Fixed(usize),
-    /// As many as the message says.
+    /// The number that the message states.
     Any,
 }
 
@@ -109,7 +109,7 @@ pub struct FieldDefinition {
     pub name: String,
     /// Type of the field, or of its elements.
     pub field_type: FieldType,
-    /// How many values it has.
+    /// The number of its values.
     pub count: Count,
 }
 
@@ -118,14 +118,14 @@ pub struct FieldDefinition {
 pub struct Constant {
     /// Name of the constant.
     pub name: String,
-    /// Its value as the definition writes it.
+    /// The value as the definition writes it.
     pub value: String,
 }
 
 /// A type of messages.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Definition {
-    /// Its fields, in the order in which a message has them.
+    /// The fields, in the order in which a message has them.
     pub fields: Vec<FieldDefinition>,
     /// Constants of the type.
     pub constants: Vec<Constant>,
@@ -147,7 +147,7 @@ pub enum DefinitionError {
     TooLong {
         /// The type.
         type_name: String,
-        /// What it has too many of.
+        /// The items of which there are too many.
         what: &'static str,
         /// The limit.
         max: usize,

@@ -18,23 +18,23 @@ pub const ZSTD_ENDING: &str = ".zstd";
 /// Before this version, the name of the folder stands before the names of its files.
 const VERSION_WITH_RELATIVE_NAMES: i64 = 4;
 
-/// What `metadata.yaml` says.
+/// The content of `metadata.yaml`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Folder {
-    /// How the files are stored, such as `sqlite3` or `mcap`.
+    /// The storage format of the files, such as `sqlite3` or `mcap`.
     pub storage: String,
     /// Names of the files within the folder, in the order of the recording.
     pub files: Vec<String>,
-    /// What is compressed with zstd.
+    /// The parts that are compressed with zstd.
     pub compression: Compression,
 }
 
-/// What of a recording of rosbag2 is compressed with zstd.
+/// The parts of a recording of rosbag2 that are compressed with zstd.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compression {
     /// Nothing, or chunks within the files.
     None,
-    /// Each message. The readers find it out by themselves.
+    /// Each message. The readers detect this themselves.
     Message,
     /// Each file as a whole.
     File,

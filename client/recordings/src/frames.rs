@@ -44,7 +44,7 @@ pub enum FrameError {
     NotConnected {
         /// The frame.
         frame: String,
-        /// The frame that its pose was asked for in.
+        /// The frame in which the pose was requested.
         within: String,
     },
     /// The time lies before the first sample of a link.
@@ -135,8 +135,8 @@ pub fn pose([x, y, z]: [f64; 3], [i, j, k, w]: [f64; 4]) -> Option<Isometry3<f64
 }
 
 impl Frames {
-    /// Takes a transform. Of a frame with several parents, those transforms count of which there are more; static ones
-    /// count before others. Frames of which transforms do not agree are among [`Frames::conflicts`].
+    /// Takes a transform. If a frame has several parents, the parent with more transforms counts; static transforms
+    /// count before others. Frames whose transforms disagree are among [`Frames::conflicts`].
     ///
     /// # Errors
     /// There are too many samples, or too many frames.
@@ -159,7 +159,7 @@ impl Frames {
         }
         let sample = PoseSample { time_nanos, pose };
         let is_conflict = match self.links.entry(child.clone()).or_insert_with(|| Link::Moving(Vec::new())) {
-            // What was said to hold for all time is not taken back by one message.
+            // A transform that was declared to hold for all time is not replaced because of one message.
             Link::Static { parent: before, pose: old } => *before != parent || !is_near(old, &pose),
             Link::Moving(tracks) => {
                 self.samples += 1;
@@ -189,13 +189,13 @@ impl Frames {
         }
     }
 
-    /// Frames whose parent or static pose changed, some of them if there are many.
+    /// Frames whose parent or static pose changed, only some if there are many.
     pub fn conflicts(&self) -> impl Iterator<Item = &str> {
         self.conflicts.iter().map(String::as_str)
     }
 
-    /// Chooses parents and sorts what came out of order; call it once after the last transform. Of two samples of one
-    /// time the later one counts.
+    /// Chooses parents and sorts what came out of order; call it once after the last transform. If two samples have one
+    /// time, the later one counts.
     pub fn finish(&mut self) {
         for link in self.links.values_mut() {
             let Link::Moving(tracks) = link else { continue };
@@ -304,7 +304,7 @@ impl Frames {
     }
 }
 
-/// Whether two poses are the same but for rounding.
+/// Whether two poses are equal except for rounding.
 fn is_near(one: &Isometry3<f64>, other: &Isometry3<f64>) -> bool {
     let apart = one.translation.vector - other.translation.vector;
     apart.norm() < 1e-6 && one.rotation.angle_to(&other.rotation) < 1e-6
@@ -320,8 +320,8 @@ fn between(before: &PoseSample, after: &PoseSample, time_nanos: i64) -> Isometry
     Isometry3::from_parts(translation.into(), between_rotations(start, end, share))
 }
 
-/// The rotation at a share of the shorter arc from one to another. With the functions of a library, not of the system:
-/// a recording must make the same observations on each, to be sent again.
+/// The rotation at a share of the shorter arc from one to another. It uses the functions of a library, not of the
+/// system: a recording must give the same observations on every system, so that it can be sent again.
 fn between_rotations(start: UnitQuaternion<f64>, end: UnitQuaternion<f64>, share: f64) -> UnitQuaternion<f64> {
     let cos = start.coords.dot(&end.coords);
     // A quaternion and its negative are the same rotation.

@@ -1,7 +1,7 @@
-//! Which kind of file a recording is, and reading it.
+//! Detects which kind of file a recording is, and reads it.
 //!
 //! Invariant: the kind follows from the first bytes, never from the name. A file that is no recording gets a text that
-//! says what to do with it.
+//! states what to do with it.
 
 use std::io::{Read, Seek};
 
@@ -11,12 +11,12 @@ use crate::{
     rosbag2, sqlite,
 };
 
-/// How many of the first bytes of a file [`FileKind::detect`] looks at.
+/// The number of first bytes of a file that [`FileKind::detect`] reads.
 pub const DETECT_BYTES: usize = 512;
 
 const UNPACK: &str = "this is a packed file: unpack it first, then import what is inside";
 
-/// What other files begin with, and what to do with them.
+/// The first bytes of files of other kinds, and advice for them.
 const OTHERS: [(&[u8], &str); 14] = [
     (b"version https://git-lfs.github.com/spec/", "this is only a pointer of Git LFS: run `git lfs pull` first"),
     (b"rosbag2_bagfile_information", "this describes a recording of rosbag2: give its folder instead"),
@@ -35,15 +35,15 @@ const OTHERS: [(&[u8], &str); 14] = [
 ];
 
 impl FileKind {
-    /// The kind of a file with these first bytes; give [`DETECT_BYTES`] of them, or all that it has. A file that ends
-    /// within the first bytes of a kind is one of that kind.
+    /// The kind of a file with these first bytes; give [`DETECT_BYTES`] of them, or the whole file. A file that ends
+    /// within the first bytes of a kind is of that kind.
     ///
     /// # Errors
-    /// [`RecordingError::Unknown`] with a text that says what the file looks like, and what to do.
+    /// [`RecordingError::Unknown`] with a text that states what the file probably is, and what to do.
     pub fn detect(bytes: &[u8]) -> Result<Self, RecordingError> {
         let kinds =
             [(&bag::MAGIC[..], Self::Bag), (&mcap_file::MAGIC[..], Self::Mcap), (&sqlite::MAGIC[..], Self::Sqlite)];
-        // One byte tells too little: the first of an MCAP is the first of a PNG too.
+        // One byte is too little: the first of an MCAP is the first of a PNG too.
         let begins = |magic: &[u8]| bytes.starts_with(magic) || (bytes.len() >= 5 && magic.starts_with(bytes));
         if let Some((_, kind)) = kinds.into_iter().find(|(magic, _)| begins(magic)) {
             return Ok(kind);
@@ -55,7 +55,7 @@ impl FileKind {
 /// Reads a file of a kind.
 ///
 /// # Errors
-/// As the reader of the kind.
+/// The errors of the reader of the kind.
 pub fn read<R: Read + Seek>(kind: FileKind, source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
     match kind {
         FileKind::Sqlite => rosbag2::read(source, sink),
@@ -66,7 +66,7 @@ pub fn read<R: Read + Seek>(kind: FileKind, source: R, sink: &mut dyn Sink) -> R
 /// Reads a file of a kind that can only be read from the front to the back, such as one that is being decompressed.
 ///
 /// # Errors
-/// As the reader of the kind; [`RecordingError::Unknown`] for SQLite, whose pages stand in no order.
+/// The errors of the reader of the kind; [`RecordingError::Unknown`] for SQLite, whose pages stand in no order.
 pub fn read_stream<R: Read>(kind: FileKind, source: R, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
     match kind {
         FileKind::Bag => bag::read(source, sink),

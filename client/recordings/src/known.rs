@@ -1,6 +1,6 @@
 //! Messages of the usual types of ROS: scans, clouds, grids, transforms, poses.
 //!
-//! Invariant: lengths within a message are checked against each other; what is given out can be read without a check.
+//! Invariant: lengths within a message are checked against each other; the returned data can be read without a check.
 
 mod cloud;
 mod grid;
@@ -28,7 +28,7 @@ pub enum KnownError {
         /// Path of the field.
         field: String,
     },
-    /// Values that do not go together, or that nothing can be made of.
+    /// Values that do not fit together, or that cannot be used.
     #[error("{0}")]
     Values(String),
 }
@@ -80,7 +80,7 @@ impl<'m, 'a> Fields<'m, 'a> {
     }
 }
 
-/// The time for which a message holds: that of its header, or of another first field that is a time. Nanoseconds since
+/// The time for which a message holds: the time of its header, or another first field that is a time. Nanoseconds since
 /// 1970; `None` if it has none.
 pub fn stamp(message: &Value<'_>) -> Option<i64> {
     ["header", "door_time", "stamp"].iter().find_map(|name| {
@@ -89,7 +89,8 @@ pub fn stamp(message: &Value<'_>) -> Option<i64> {
     })
 }
 
-/// The frame in which a message was measured, without a leading slash; empty if it names none, or one that is too long.
+/// The frame in which a message was measured, without a leading slash; empty if the message names no frame, or a name
+/// that is too long.
 pub fn frame(message: &Value<'_>) -> String {
     match message.at(&["header", "frame_id"]) {
         Some(Value::Text(bytes)) if bytes.len() <= FRAME_BYTES_MAX => {
@@ -181,7 +182,7 @@ fn transform(message: &Value<'_>) -> TransformRead {
     Ok(Transform { parent, child, time_nanos, pose })
 }
 
-/// Where a pose is found in a message of one of the usual types with one pose.
+/// The path to the pose in a message of one of the usual types with one pose.
 pub fn pose_path(type_name: &str) -> Option<&'static [&'static str]> {
     Some(match type_name {
         "geometry_msgs/Pose" => &[],

@@ -12,10 +12,10 @@ use crate::{
 
 /// Maximum depth of types within types.
 const DEPTH_MAX: usize = 32;
-/// Maximum number of fields of a layout, those of the types inside included.
+/// Maximum number of fields of a layout, the fields of the types inside included.
 const FIELDS_MAX: usize = 10_000;
 
-/// What a value is.
+/// The kind of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A value that has no fields.
@@ -35,14 +35,14 @@ pub struct Structure {
     pub constants: Vec<Constant>,
 }
 
-/// A field with what it is.
+/// A field with its kind and count.
 #[derive(Debug, PartialEq, Eq)]
 pub struct LaidField {
     /// Name of the field.
     pub name: String,
-    /// What its values are.
+    /// The kind of its values.
     pub kind: Kind,
-    /// How many values it has.
+    /// The number of its values.
     pub count: Count,
 }
 
@@ -53,14 +53,15 @@ impl Structure {
     }
 }
 
-/// Makes the layout of a type. In messages of ROS 2, types that `text` does not define are looked up among those that
-/// tidemap knows; with an empty text that is all of them. Those of ROS 1 have other fields, and bags define them all.
+/// Makes the layout of a type. In messages of ROS 2, types that `text` does not define are looked up among the types
+/// that tidemap knows; with an empty text that is all types. The types of ROS 1 have other fields, and bags define all
+/// of them.
 ///
 /// # Errors
 /// The text is no definition, or a type is missing or contains itself.
 pub fn of_type(type_name: &str, text: &str, encoding: &Encoding) -> Result<Arc<Structure>, DefinitionError> {
     let name = definition::short_name(type_name);
-    // An empty definition is that of a type without fields, such as std_msgs/Empty, or none at all.
+    // An empty definition belongs to a type without fields, such as std_msgs/Empty, or is a missing definition.
     let types = if text.trim().is_empty() { HashMap::new() } else { definition::parse(&name, text)? };
     let mut making = Making { types, knows_usual: *encoding == Encoding::Cdr, made: HashMap::new(), fields: 0 };
     making.structure(&name, 0)

@@ -1,7 +1,7 @@
 //! Recordings of robots: bags of ROS 1, rosbag2, MCAP.
 //!
 //! Invariant: bytes in, values out; no file is opened here, and no ROS is needed. Reading never panics, and memory is
-//! bounded whatever the bytes say. A recording that is cut off gives what it has, and says so.
+//! bounded whatever the bytes contain. A recording that is cut off gives the messages that it has, and reports the cut.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -1,6 +1,6 @@
-//! The mapping: what a person wants to be made of the topics of a recording, as a YAML file.
+//! The mapping: the user's choice of the observations to make of the topics of a recording, as a YAML file.
 //!
-//! Invariant: a mapping that was read has paths, names and kinds that can be; whether a recording has its topics and
+//! Invariant: a mapping that was read has possible paths, names and kinds; whether a recording has its topics and
 //! fields is checked when a plan is made.
 
 mod rule;
@@ -12,7 +12,7 @@ use serde::Deserialize;
 pub(crate) use self::rule::shown;
 pub use self::rule::{FieldPlace, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
 
-/// What to make of a recording's topics, in addition to or instead of what is made by default.
+/// The observations to make of a recording's topics, in addition to or instead of the default ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mapping {
     /// Topics that are left out.
@@ -30,7 +30,7 @@ pub struct Mapping {
 /// Why a mapping cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MappingError {
-    /// It is no mapping; the text has the line.
+    /// The text is not a mapping; the message has the line.
     #[error("{0}")]
     Yaml(String),
     /// A key or a value of an entry is wrong.
@@ -38,7 +38,7 @@ pub enum MappingError {
     Entry {
         /// Key of the entry.
         key: String,
-        /// What is wrong with it.
+        /// The fault of the entry.
         problem: String,
     },
 }

@@ -20,7 +20,7 @@ use crate::{
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
 
-/// What an MCAP file begins and ends with.
+/// The first and last bytes of an MCAP file.
 pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 const OP_FOOTER: u8 = 0x02;
@@ -59,7 +59,7 @@ pub fn read<R: Read>(source: R, sink: &mut dyn Sink) -> Result<Ending, Recording
 
 struct McapReader<R> {
     source: ByteSource<R>,
-    /// Where the reading is, for the text of a file that is cut off.
+    /// The place of the reading, for the text of a file that is cut off.
     place: &'static str,
     record: Vec<u8>,
     unpacked: Vec<u8>,

@@ -68,14 +68,14 @@ pub enum Value<'a> {
 pub struct Numbers<'a> {
     /// Type of the numbers; neither text nor time.
     pub primitive: Primitive,
-    /// Their bytes, whole numbers of them.
+    /// The bytes of the numbers, whole numbers of them.
     pub bytes: &'a [u8],
     /// Whether the most significant byte comes first.
     pub is_big_endian: bool,
 }
 
 impl<'a> Numbers<'a> {
-    /// How many numbers.
+    /// The number of numbers.
     pub fn len(&self) -> usize {
         self.bytes.len() / self.primitive.bytes().unwrap_or(1)
     }
@@ -147,8 +147,8 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// A time: that of ROS 1, or seconds and nanoseconds as ROS 2 has them. Nanoseconds since 1970; `None` if it is no
-    /// time or out of range.
+    /// A time of ROS 1, or the seconds and nanoseconds of ROS 2. Nanoseconds since 1970; `None` if the value is no time
+    /// or out of range.
     pub fn time_nanos(&self) -> Option<i64> {
         match self {
             Value::Nanos(nanos) => Some(*nanos),

@@ -1,4 +1,4 @@
-//! What is made of each topic of a recording.
+//! The plan of a recording: the observations that are made of each topic.
 //!
 //! Invariant: every topic of a survey has its plan, and a topic that becomes nothing has the reason. A mapping whose
 //! topics and fields are not in the recording is an error before anything is made.
@@ -15,7 +15,7 @@ use crate::{
 
 pub use self::frame::FrameChoice;
 
-/// What a topic becomes in the grid of a map.
+/// The use of a topic for the grid of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GridUse {
     /// Scans of planar range finders.
@@ -28,7 +28,7 @@ pub enum GridUse {
     GridChanges(usize),
 }
 
-/// What a topic becomes.
+/// The observations that are made of one topic.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopicPlan {
     /// Frames.
@@ -51,7 +51,7 @@ impl TopicPlan {
         self.grid.is_some() || !self.states.is_empty() || !self.positions.is_empty() || self.traversals.is_some()
     }
 
-    /// What it becomes, in words.
+    /// The observations that are made of the topic, in words.
     pub fn becomes(&self) -> String {
         let mut words: Vec<String> = Vec::new();
         match self.grid {
@@ -73,14 +73,14 @@ impl TopicPlan {
     }
 }
 
-/// What is made of a recording.
+/// The observations that are made of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
-    /// What each topic becomes, in the order of the survey.
+    /// The plan of each topic, in the order of the survey.
     pub topics: Vec<TopicPlan>,
     /// The frame in which everything is placed; absent if nothing has to be placed.
     pub frame: Option<String>,
-    /// How the frame was chosen.
+    /// The reason for the choice of the frame.
     pub choice: FrameChoice,
 }
 
@@ -117,7 +117,7 @@ impl Plan {
 /// Why no plan can be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
-    /// The mapping, or a list of topics, names one that the recording does not have.
+    /// The mapping, or a list of topics, names a topic that the recording does not have.
     #[error("the recording has no topic {name:?}; it has {topics}")]
     NoTopic {
         /// The name.
@@ -130,10 +130,10 @@ pub enum PlanError {
     Field {
         /// The topic.
         topic: String,
-        /// What is wrong.
+        /// The fault.
         problem: String,
     },
-    /// The frame that was asked for is in no transform and no message.
+    /// The requested frame is in no transform and no message.
     #[error("the recording has no frame {frame:?}; it has {frames}")]
     NoFrame {
         /// The frame.
@@ -143,7 +143,7 @@ pub enum PlanError {
     },
 }
 
-/// What a person asks for.
+/// The choices of the user.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wishes {
     /// The mapping.
@@ -295,7 +295,7 @@ fn usual(topic: &TopicSurvey) -> TopicPlan {
     plan
 }
 
-/// Doors: open is 1, closed 0; a door that moves, is offline or unknown says nothing.
+/// Doors: open is 1, closed 0; a door that moves, is offline or unknown gives no value.
 fn door(topic: &str) -> Option<StateRule> {
     let table = [("0", "0"), ("2", "1")].map(|(from, to)| (from.to_owned(), to.to_owned()));
     let name = Template::read("{door_name}").ok()?;
@@ -308,7 +308,7 @@ fn state_name(topic: &str) -> String {
     topic.trim_matches('/').replace('/', "-")
 }
 
-/// Leaves out grids that were made of the scans that are taken as well, and grids of costs.
+/// Leaves out grids that were made from scans that are also taken, and grids of costs.
 fn prefer_scans(surveyed: &Surveyed, plans: &mut [TopicPlan], wishes: &Wishes) {
     let is_placed = |topic: &TopicSurvey, plan: &TopicPlan| {
         matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds))
@@ -339,7 +339,7 @@ fn has_moving_link(surveyed: &Surveyed, frame: &str) -> bool {
     surveyed.frames.chain(frame).iter().any(|name| surveyed.frames.moves(name))
 }
 
-/// Finds the topic whose grids the changes of another topic are of: `/map_updates` goes with `/map`.
+/// Finds the topic of the grids to which the changes of another topic belong: `/map_updates` belongs to `/map`.
 fn find_changed_grids(topics: &[TopicSurvey], plans: &mut [TopicPlan]) {
     let is_grid: Vec<bool> = plans.iter().map(|plan| plan.grid == Some(GridUse::Grids)).collect();
     for (index, topic) in topics.iter().enumerate() {

@@ -1,7 +1,7 @@
-//! What a recording is: topics, and messages with the times at which they were recorded.
+//! The parts of a recording: topics, and messages with the times at which they were recorded.
 //!
 //! Invariant: a reader hands out messages one by one, in the order of the file. It holds at most one block of the file
-//! and one message in memory, each within the limits of this file, whatever a length in the file says.
+//! and one message in memory, each within the limits of this file, whatever a length in the file states.
 
 use std::io;
 
@@ -16,14 +16,14 @@ pub const TOPICS_MAX: usize = 10_000;
 /// Maximum number of bytes of all definitions of a recording's messages.
 pub const DEFINITION_BYTES_MAX: usize = 4 << 20;
 
-/// How the bytes of a topic's messages are laid out.
+/// The layout of the bytes of a topic's messages.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// As ROS 1 lays them out.
+    /// The layout of ROS 1.
     Ros1,
     /// CDR, as ROS 2 lays them out.
     Cdr,
-    /// Another one, by the name that the recording gives it. Its messages are counted, not read.
+    /// Another layout, by the name that the recording gives it. Its messages are counted, not read.
     Other(String),
 }
 
@@ -34,12 +34,12 @@ pub struct Topic {
     pub name: String,
     /// Type of its messages without the folder of ROS 2, such as `sensor_msgs/LaserScan`.
     pub type_name: String,
-    /// How the bytes of its messages are laid out.
+    /// The layout of the bytes of its messages.
     pub encoding: Encoding,
     /// Definition of its messages in the language of `.msg` files, with the definitions of the types inside behind
     /// lines of `=`; empty if the recording has none.
     pub definition: String,
-    /// Whether the topic is latched, or transient local: its last message holds for who comes later.
+    /// Whether the topic is latched, or transient local: its last message holds for late subscribers.
     pub is_latched: bool,
 }
 
@@ -48,7 +48,7 @@ pub struct Topic {
 pub struct RecordedMessage<'a> {
     /// Index of its topic among the topics that the reader has found, in the order in which it found them.
     pub topic: usize,
-    /// When it was recorded, nanoseconds since 1970.
+    /// The time of recording, nanoseconds since 1970.
     pub recorded_nanos: i64,
     /// The bytes of the message.
     pub data: &'a [u8],
@@ -66,20 +66,20 @@ pub trait Sink {
     /// An error ends the reading, as [`RecordingError::Stopped`].
     fn message(&mut self, message: RecordedMessage<'_>, position: u64) -> Result<(), Stopped>;
 
-    /// Is told of a part of the file that is too long to be read, and that is passed over.
+    /// Receives a part of the file that is too long to be read, and that is passed over.
     fn passed_over(&mut self, _why: &RecordingError) {}
 }
 
-/// Who takes the messages wants no more of them.
+/// The receiver wants no more messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stopped;
 
-/// How a recording ended.
+/// The end of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// As its format asks for.
+    /// The file ends as its format requires.
     Whole,
-    /// The file is cut off; everything before was read. The text says where.
+    /// The file is cut off; everything before was read. The text states where.
     CutOff(String),
 }
 
@@ -100,10 +100,10 @@ pub enum RecordingError {
     /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The file is of no kind that is known. The text says what it looks like and what to do.
+    /// The file is of no known kind. The text states what it probably is and what to do.
     #[error("{0}")]
     Unknown(String),
-    /// The file breaks its format; the text says where and how.
+    /// The file breaks its format; the text states where and how.
     #[error("{0}")]
     Broken(String),
     /// A part of the file is longer than the limit.
@@ -111,12 +111,12 @@ pub enum RecordingError {
     TooLarge {
         /// The part, and where it is.
         what: String,
-        /// How many bytes the part has.
+        /// The size of the part, bytes.
         bytes: u64,
         /// The limit.
         max: usize,
     },
-    /// Who takes the messages wanted no more.
+    /// The receiver of the messages wanted no more.
     #[error("the reading was stopped")]
     Stopped,
 }

@@ -14,7 +14,7 @@ use crate::{
     topics::{Topics, bare_type, check_definitions, is_transient_local},
 };
 
-/// End of the name of a file beside a database, in which the newest rows may stand. The reader does not see it: rows
+/// End of the name of a file beside a database, in which the newest rows may stand. The reader does not read it: rows
 /// are missing if that file is there and not empty. `sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'` joins the two.
 pub const LOG_ENDING: &str = "-wal";
 
@@ -183,7 +183,7 @@ fn integer(row: &TableRow, table: &Table, column: usize, table_name: &str) -> Re
     }
 }
 
-/// Text; empty for NULL and for what is no text.
+/// Text; empty for NULL and for a value that is not text.
 fn text(row: &TableRow, column: usize) -> Result<String, RecordingError> {
     Ok(match row.value(column)? {
         Some(Value::Text(text) | Value::Bytes(text)) => String::from_utf8_lossy(text).into_owned(),

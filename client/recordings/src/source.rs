@@ -1,4 +1,4 @@
-//! Reading bytes in order: with a look ahead, and by fields.
+//! Reads bytes in order: with lookahead, and by fields.
 //!
 //! Invariant: memory grows with the bytes that are there, not with the lengths that they state. A source that ends too
 //! early gives [`io::ErrorKind::UnexpectedEof`].
@@ -7,7 +7,7 @@ use std::io::{self, Read};
 
 const BUFFER_BYTES: usize = 64 << 10;
 
-/// Bytes in order, counted, with a look ahead.
+/// Bytes in order, counted, with lookahead.
 pub(crate) struct ByteSource<R> {
     inner: R,
     buffer: Box<[u8]>,
@@ -21,7 +21,7 @@ impl<R: Read> ByteSource<R> {
         Self { inner, buffer: vec![0; BUFFER_BYTES].into_boxed_slice(), start: 0, end: 0, position: 0 }
     }
 
-    /// How many bytes have been taken.
+    /// The number of bytes that have been taken.
     pub(crate) fn position(&self) -> u64 {
         self.position
     }
@@ -58,7 +58,7 @@ impl<R: Read> ByteSource<R> {
         Ok(bytes)
     }
 
-    /// Takes `count` bytes in place of what `into` holds.
+    /// Takes `count` bytes and replaces the content of `into` with them.
     pub(crate) fn take_into(&mut self, into: &mut Vec<u8>, count: usize) -> io::Result<()> {
         into.clear();
         let got = self.by_ref().take(count as u64).read_to_end(into)?;

@@ -17,7 +17,7 @@ mod statement;
 
 pub(crate) use self::row::TableRow;
 
-/// What an SQLite database begins with.
+/// The first bytes of an SQLite database.
 pub(crate) const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 
 const HEADER_BYTES: usize = 100;
@@ -51,12 +51,12 @@ pub(crate) struct Table {
     name: String,
     root: u32,
     columns: Vec<String>,
-    /// The column that the number of the row stands for.
+    /// The column that is an alias of the row number.
     pub(crate) row_number_column: Option<usize>,
 }
 
 impl Table {
-    /// Index of the column of this name; SQL does not tell capital letters from small ones.
+    /// Index of the column of this name; SQL ignores case.
     pub(crate) fn column(&self, name: &str) -> Option<usize> {
         self.columns.iter().position(|column| column.eq_ignore_ascii_case(name))
     }
@@ -73,7 +73,7 @@ pub(crate) struct TableWalk {
 struct Level {
     page: Vec<u8>,
     number: u32,
-    /// Where the page's own header begins: behind the file's in the first page.
+    /// The offset of the page's own header: after the file's header in the first page.
     header: usize,
     cells: usize,
     cell: usize,
@@ -108,7 +108,7 @@ impl<R: Read + Seek> Database<R> {
                 "the database holds its text as UTF-16; rosbag2 writes UTF-8, and only that is read".to_owned(),
             ));
         }
-        // The number of pages counts only if whoever changed the file last knew of it.
+        // The number of pages counts only if the program that changed the file last updated it.
         let stated = u64::from(be_u32(&header, 28));
         let is_stated = stated > 0 && be_u32(&header, 24) == be_u32(&header, 92);
         let pages = if is_stated { stated } else { file_bytes.div_ceil(page_bytes as u64) };
@@ -163,7 +163,7 @@ impl<R: Read + Seek> Database<R> {
         (self.file_bytes, self.pages.saturating_mul(self.page_bytes as u64))
     }
 
-    /// How many bytes have been read.
+    /// The number of bytes that have been read.
     pub(crate) fn bytes_read(&self) -> u64 {
         self.pages_read.saturating_mul(self.page_bytes as u64)
     }
@@ -223,7 +223,7 @@ impl<R: Read + Seek> Database<R> {
         Ok(())
     }
 
-    /// Reads a page. A walk that asks for more pages than the file has goes in circles.
+    /// Reads a page. A walk that reads more pages than the file has goes in circles.
     fn page(&mut self, walk: &mut TableWalk, number: u32, into: &mut Vec<u8>) -> Result<(), RecordingError> {
         if number == 0 || u64::from(number) > self.pages {
             let pages = self.pages;
@@ -262,7 +262,7 @@ impl<R: Read + Seek> Database<R> {
         Ok(())
     }
 
-    /// Reads the end of a row, from the pages that it goes on in.
+    /// Reads the end of a row, from the pages on which it continues.
     pub(crate) fn complete(&mut self, walk: &mut TableWalk, row: &mut TableRow) -> Result<(), RecordingError> {
         let Some(missing) = row.missing().filter(|_| row.bytes_stated() <= ROW_BYTES_MAX as u64) else {
             let what = format!("row {} of a table of the database", row.number());
@@ -281,7 +281,7 @@ impl<R: Read + Seek> Database<R> {
 }
 
 impl Level {
-    /// Where the list of cells begins.
+    /// The offset of the list of cells.
     fn pointers(&self) -> usize {
         self.header + if self.page[self.header] == LEAF { 8 } else { 12 }
     }
@@ -300,7 +300,7 @@ impl Level {
     }
 }
 
-/// How many bytes of a row stand in its leaf: all of them, or as many as the format's formula says.
+/// The number of bytes of a row that its leaf holds: all of them, or the number that the format's formula gives.
 fn local_bytes(length: u64, usable_bytes: usize) -> usize {
     let local_max = usable_bytes - 35;
     let Some(length) = usize::try_from(length).ok().filter(|length| *length > local_max) else {

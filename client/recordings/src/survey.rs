@@ -1,4 +1,4 @@
-//! What is in a recording: its topics, how many messages each has and of which times, and the frames.
+//! The contents of a recording: its topics, the number and times of the messages of each, and the frames.
 //!
 //! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the
 //! first reason; none ends the survey.
@@ -45,11 +45,11 @@ impl TimeSpan {
 pub struct TopicSurvey {
     /// Name of the topic.
     pub name: String,
-    /// Its type, without the folder of ROS 2.
+    /// The type of the messages, without the folder of ROS 2.
     pub type_name: String,
     /// Number of messages.
     pub messages: u64,
-    /// When they were recorded.
+    /// The times of recording of the messages.
     pub recorded: Option<TimeSpan>,
     /// The times for which they hold, if they have such times.
     pub stamps: Option<TimeSpan>,
@@ -57,11 +57,11 @@ pub struct TopicSurvey {
     pub frame: String,
     /// Number of messages that cannot be read.
     pub unread: u64,
-    /// Why the first of them cannot be read.
+    /// Why the first message cannot be read.
     pub problem: Option<String>,
-    /// Its fields, unless its definition cannot be read.
+    /// The fields of the messages, unless the definition cannot be read.
     pub layout: Option<Arc<Structure>>,
-    /// Of a topic of occupancy grids: the edge of a cell of the first grid, metres, and where its first cell begins in
+    /// For a topic of occupancy grids: the edge of a cell of the first grid, metres, and where its first cell begins in
     /// its frame.
     pub grid: Option<(f64, [f64; 2])>,
 }
@@ -73,10 +73,10 @@ impl TopicSurvey {
     }
 }
 
-/// How the messages of a topic are read.
+/// The reader of the messages of a topic.
 #[derive(Clone, Debug)]
 pub(crate) struct TopicReader {
-    /// Index of the topic among those of the survey.
+    /// Index of the topic among the topics of the survey.
     pub(crate) topic: usize,
     pub(crate) layout: Result<Arc<Structure>, String>,
     pub(crate) encoding: crate::recording::Encoding,
@@ -129,7 +129,7 @@ pub struct Survey {
     first_passed_over: Option<String>,
 }
 
-/// Is told how many bytes have been read.
+/// Receives the number of bytes that have been read.
 struct ReadWatch(Box<dyn FnMut(u64)>);
 
 impl std::fmt::Debug for ReadWatch {
@@ -181,7 +181,7 @@ impl Survey {
         self.too_many
     }
 
-    /// What was found: call it once after the last file.
+    /// Returns the contents: call it once after the last file.
     pub fn finish(mut self) -> Surveyed {
         self.frames.finish();
         Surveyed {
@@ -216,18 +216,18 @@ impl Survey {
     }
 }
 
-/// What is in a recording.
+/// The contents of a recording.
 #[derive(Debug, Default)]
 pub struct Surveyed {
-    /// Its topics, in the order in which they were found.
+    /// The topics, in the order in which they were found.
     pub topics: Vec<TopicSurvey>,
     /// The tree of its frames.
     pub frames: Frames,
     /// Number of transforms that are none: not finite, or without names.
     pub bad_transforms: u64,
-    /// Whether it has more transforms than can be kept, so that some are missing.
+    /// Whether the recording has more transforms than can be kept, so that some are missing.
     pub has_too_many_transforms: bool,
-    /// Number of messages and blocks that are too long to be read, and what is said of the first.
+    /// Number of messages and blocks that are too long to be read, and the message about the first.
     pub passed_over: Option<(u64, String)>,
 }
 

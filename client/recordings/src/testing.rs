@@ -1,6 +1,6 @@
-//! What the tests of the readers share.
+//! The helpers that the tests of the readers share.
 //!
-//! Invariant: what is handed out is kept as it came.
+//! Invariant: the data that a reader hands out is kept as it came.
 
 use crate::recording::{Ending, RecordedMessage, RecordingError, Sink, Stopped, Topic};
 
@@ -15,7 +15,7 @@ pub(crate) struct KeptMessages {
     /// Stops with this many messages.
     pub(crate) stop_at: Option<usize>,
     pub(crate) position: u64,
-    /// What was said of parts that are too long.
+    /// The messages about parts that are too long.
     pub(crate) passed_over: Vec<String>,
 }
 
@@ -38,7 +38,7 @@ impl Sink for KeptMessages {
     }
 }
 
-/// Checks what holds for any cut: an ending that says so, and a prefix of the messages.
+/// Checks the properties of any cut: an ending that reports the cut, and a prefix of the messages.
 pub(crate) fn check_cut(whole: &KeptMessages, cut: &KeptMessages, ending: &Result<Ending, RecordingError>) {
     assert!(matches!(ending, Ok(Ending::CutOff(_))), "{ending:?}");
     assert!(whole.messages.starts_with(&cut.messages), "{} messages are no prefix", cut.messages.len());

@@ -4,7 +4,7 @@
 
 use crate::recording::{DEFINITION_BYTES_MAX, RecordingError, Sink, TOPICS_MAX, Topic};
 
-/// Which topics were found, and which are wanted.
+/// The topics that were found, and the topics that are wanted.
 #[derive(Default)]
 pub(crate) struct Topics {
     are_wanted: Vec<bool>,
@@ -49,7 +49,7 @@ pub(crate) fn bare_type(name: &str) -> String {
     }
 }
 
-/// Whether one of the offered profiles of quality of service keeps the last message for who comes later. Older
+/// Whether one of the offered profiles of quality of service keeps the last message for late subscribers. Older
 /// recorders write the policy's number, newer ones its name.
 pub(crate) fn is_transient_local(profiles: &str) -> bool {
     profiles.split(['\n', ',', '{', '}']).any(|part| {

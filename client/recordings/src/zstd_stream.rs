@@ -14,7 +14,7 @@ use crate::source::ByteSource;
 /// Maximum number of bytes that a frame may refer back to.
 pub const WINDOW_BYTES_MAX: u64 = 32 << 20;
 
-/// Reads what was compressed with zstd; several frames one after the other are one stream.
+/// Reads data that was compressed with zstd; several frames one after the other are one stream.
 ///
 /// A source that ends within a frame gives [`io::ErrorKind::UnexpectedEof`], bytes that are not zstd
 /// [`io::ErrorKind::InvalidData`].
@@ -56,7 +56,7 @@ impl<R: Read> ZstdStream<R> {
         }
     }
 
-    /// The decoder cannot say whether bytes were missing.
+    /// The decoder cannot report whether bytes were missing.
     fn failure(&mut self, error: &FrameDecoderError) -> io::Error {
         match self.source.is_at_end() {
             Ok(true) => io::ErrorKind::UnexpectedEof.into(),

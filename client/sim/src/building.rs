@@ -8,7 +8,7 @@ use rand::{Rng as _, rngs::SmallRng};
 
 use crate::draw::{DrawTopic, draws};
 
-/// Of the building, from west to east, metres.
+/// Width of the building, from west to east, metres.
 const WIDTH_M: f64 = 32.0;
 /// From south to north, metres.
 const HEIGHT_M: f64 = 16.8;
@@ -26,7 +26,7 @@ struct Room {
     name: &'static str,
     west_m: f64,
     east_m: f64,
-    /// North of the corridor, or south of it.
+    /// Whether the room is north of the corridor, not south of it.
     is_north: bool,
     /// From hour, to hour, and how probably on a working day.
     uses: &'static [(f64, f64, f64)],
@@ -55,7 +55,7 @@ const ROOMS: [Room; 8] = [
     Room { name: "storage", west_m: 24.0, east_m: 32.0, is_north: false, uses: &[(7.5, 8.0, 0.2), (16.0, 17.0, 0.25)] },
 ];
 
-/// Where the corridor has places, metres from the west.
+/// The places in the corridor, metres from the west.
 const CORRIDOR_PLACES_M: [f64; 5] = [3.0, 9.5, 16.0, 22.5, 28.5];
 const CORRIDOR_PLACES: [&str; 5] = ["corridor-1", "corridor-2", "corridor-3", "corridor-4", "corridor-5"];
 
@@ -99,7 +99,7 @@ pub struct BuildingDrive {
     pub start_secs: i64,
     /// Seconds since midnight when it ended.
     pub end_secs: i64,
-    /// Whether it arrived; otherwise the door of the room was closed.
+    /// Whether the robot arrived; otherwise the door of the room was closed.
     pub success: bool,
 }
 
@@ -130,7 +130,7 @@ pub struct BuildingPlace {
 pub struct BuildingDay {
     seed: u64,
     date: Date,
-    /// Of each room: from hour, to hour.
+    /// The uses of each room: from hour, to hour.
     uses: Vec<Vec<(f64, f64)>>,
     front_door: (f64, f64),
 }
@@ -169,7 +169,7 @@ impl BuildingDay {
         BuildingDay { seed, date, uses, front_door }
     }
 
-    /// What a robot reads in the day, ascending by time.
+    /// The readings of a robot in the day, ascending by time.
     #[must_use]
     pub fn readings(&self) -> Vec<BuildingReading> {
         let mut rng = draws(self.seed, DrawTopic::BuildingReading, 0, self.date);
@@ -191,7 +191,7 @@ impl BuildingDay {
         readings
     }
 
-    /// How the robot drives in the day, ascending by time.
+    /// The drives of the robot in the day, ascending by time.
     #[must_use]
     pub fn drives(&self) -> Vec<BuildingDrive> {
         let mut rng = draws(self.seed, DrawTopic::BuildingDrive, 0, self.date);

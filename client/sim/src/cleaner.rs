@@ -10,7 +10,8 @@ use crate::{
     place::{OfficePlace, PLACES},
 };
 
-/// When the cleaner enters each room and leaves the last one, in seconds of the day. Empty on days without a round.
+/// The times at which the cleaner enters each room and leaves the last one, in seconds of the day. Empty on days
+/// without a round.
 pub(crate) struct CleaningRound {
     enters_secs: Vec<i32>,
     leaves_secs: i32,
@@ -35,7 +36,7 @@ impl CleaningRound {
         Self { enters_secs, leaves_secs: clock }
     }
 
-    /// Where the cleaner is, if in the building.
+    /// The place of the cleaner, if in the building.
     pub(crate) fn place(&self, second: i32) -> Option<OfficePlace> {
         let room = self.enters_secs.partition_point(|&enters| enters <= second).checked_sub(1)?;
         (second < self.leaves_secs).then(|| PLACES[room])

@@ -1,6 +1,6 @@
 //! Random numbers that can be drawn in any order, keyed by topic, index and date.
 //!
-//! Invariant: equal keys give equal draws; draws of one topic do not depend on those of another.
+//! Invariant: equal keys give equal draws; draws of one topic do not depend on draws of another.
 
 use jiff::civil::Date;
 use rand::{Rng, RngCore, SeedableRng, rngs::SmallRng};

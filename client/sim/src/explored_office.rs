@@ -96,7 +96,7 @@ impl ExploredOffice {
         [self.rooms_a_side * ROOM + 1, DEPTH, HEIGHT]
     }
 
-    /// Where the robot's charger is, x and y in metres from the corner of cell 0: in the middle of the corridor.
+    /// The place of the robot's charger, x and y in metres from the corner of cell 0: in the middle of the corridor.
     pub fn charger_m(&self) -> [f64; 2] {
         let middle = |cells: usize| (cells / 2) as f64 * Self::CELL_M + Self::CELL_M / 2.0;
         [middle(self.size()[0]), middle(DEPTH)]

@@ -1,6 +1,6 @@
 //! A simulated office as a stream of three-dimensional occupancy grids, as a depth camera over an office, or a robot
-//! that patrols a building, records them over months. The default size is that of the office grid published in 2017:
-//! 213,000 cells of 0.1 m, 17,200 scans a day, about 15,000 changing cells with about 40 changes a day each.
+//! that patrols a building, records them over months. The default size is the size of the office grid published in
+//! 2017: 213,000 cells of 0.1 m, 17,200 scans a day, about 15,000 changing cells with about 40 changes a day each.
 //!
 //! Walls, floors and furniture never move. People follow daily and weekly routines on the wall clock of a time zone;
 //! chairs, doors, curtains and belongings follow the people, a cleaner comes in the evening, and edges flicker.

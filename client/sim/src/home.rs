@@ -17,7 +17,7 @@ use crate::{
 /// The rooms.
 const ROOMS: [&str; 8] = ["hall", "kitchen", "living_room", "bedroom", "bathroom", "office", "garage", "garden"];
 
-/// What is sensed in each room.
+/// The thing that is sensed in a room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Thing {
     Door,
@@ -34,13 +34,13 @@ const DAY: i32 = 24 * HOUR;
 /// A change of a sensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SensorChange {
-    /// When, seconds since 1970 UTC.
+    /// The time, seconds since 1970 UTC.
     pub secs: i64,
     /// The wall clock of the home at that time, such as `2025-03-30 14:05:09`.
     pub local: String,
     /// Index of the sensor.
     pub sensor: usize,
-    /// Whether it is on, or open, from then on.
+    /// Whether the sensor is on, or open, from then on.
     pub is_on: bool,
 }
 
@@ -74,7 +74,7 @@ impl Home {
         ROOMS.into_iter().flat_map(|room| THINGS.map(|thing| (room, thing))).map(name).collect()
     }
 
-    /// The changes of all sensors on some days, in order of time; at first each sensor says what it is.
+    /// The changes of all sensors on some days, in order of time; at first each sensor reports its value.
     #[must_use]
     pub fn changes(&self, first: Date, days: i32) -> Vec<SensorChange> {
         let mut changes = Vec::new();
@@ -128,7 +128,7 @@ impl Home {
     }
 }
 
-/// When a thing is on, in seconds of the day.
+/// The times at which a thing is on, in seconds of the day.
 fn times(rng: &mut SmallRng, room: usize, thing: Thing, is_working_day: bool) -> Vec<(i32, i32)> {
     let shift = room as i32 * 7 * 60;
     let mut wanted = Vec::new();

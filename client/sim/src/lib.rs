@@ -86,8 +86,8 @@ impl Office {
         OfficeDay::new(self.seed, date).value(state, second)
     }
 
-    /// What the robot at index `robot` observes in `from_nanos..to_nanos` UTC: time in nanoseconds UTC, index of the
-    /// state, value; ordered by time, then by state. Adjacent windows give the same as one window over both.
+    /// The observations of the robot at index `robot` in `from_nanos..to_nanos` UTC: time in nanoseconds UTC, index of
+    /// the state, value; ordered by time, then by state. Adjacent windows give the same as one window over both.
     ///
     /// # Panics
     /// If `robot` is not an index of [`Office::robots`].

@@ -21,7 +21,7 @@ pub(crate) struct PatrolRobot {
     gap_secs: f64,
     /// Hours of duty since local midnight.
     hours: std::ops::Range<i64>,
-    /// Whether it also patrols when the office is closed.
+    /// Whether the robot also patrols when the office is closed.
     always: bool,
 }
 

@@ -48,7 +48,7 @@ pub(crate) struct Attendance {
 }
 
 impl Attendance {
-    /// Where the person is, if in the building.
+    /// The place of the person, if in the building.
     pub(crate) fn place(&self, second: i32) -> Option<OfficePlace> {
         let holds = |&&(from, to, _): &&Stay| (from..to).contains(&second);
         Some(&self.desk).filter(holds).map(|desk| self.elsewhere.iter().find(holds).unwrap_or(desk).2)

@@ -2,7 +2,7 @@
 //!
 //! Invariant: every state is seen from exactly one place.
 
-/// Where a person can be and where a robot stops.
+/// A place where a person can be or where a robot stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OfficePlace {
     /// Between the rooms, at the entrance.
@@ -14,8 +14,8 @@ pub(crate) enum OfficePlace {
     Kitchen,
 }
 
-/// Names of the states; an index into this is a state. States 1 to 6 tell whether a person is at the place with the
-/// same index in [`PLACES`].
+/// Names of the states; an index into this is a state. States 1 to 6 are whether a person is at the place with the same
+/// index in [`PLACES`].
 pub(crate) const STATES: [&str; 9] = [
     "entrance-door",
     "office-1-door",

@@ -19,7 +19,7 @@ const OPEN: [[[f64; 2]; 2]; 5] = [
 ];
 /// Middle of the southern and of the northern corridor, metres.
 const MIDDLES_M: [f64; 2] = [3.0, 13.0];
-/// Where the stream of each corridor walks, metres.
+/// The y coordinate of the stream of each corridor, metres.
 const STREAMS_M: [f64; 2] = [4.0, 12.0];
 /// Standard deviation across a stream, metres.
 const SPREAD_M: f64 = 0.3;
@@ -43,18 +43,18 @@ pub struct StreamOffice {
 /// A person who walks straight from one place to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamWalk {
-    /// When the walk begins, seconds of the day.
+    /// The begin of the walk, seconds of the day.
     pub start_secs: f64,
-    /// When it ends.
+    /// The end of the walk, seconds of the day.
     pub end_secs: f64,
-    /// Where it begins, x and y in metres.
+    /// The place where the walk begins, x and y in metres.
     pub from_m: [f64; 2],
-    /// Where it ends.
+    /// The place where the walk ends, x and y in metres.
     pub to_m: [f64; 2],
 }
 
 impl StreamWalk {
-    /// Where the person is at a second of the day; `None` before and after the walk.
+    /// The place of the person at a second of the day; `None` before and after the walk.
     pub fn at(&self, secs: f64) -> Option<[f64; 2]> {
         let share = (secs - self.start_secs) / (self.end_secs - self.start_secs);
         (0.0..=1.0).contains(&share).then(|| [0, 1].map(|axis| self.from_m[axis] + share * self.along(axis)))
@@ -75,7 +75,7 @@ impl StreamWalk {
 pub struct DetectedWalk {
     /// Seconds of the day.
     pub secs: f64,
-    /// Where, x and y in metres, with the sensor's noise.
+    /// The place, x and y in metres, with the sensor's noise.
     pub place_m: [f64; 2],
     /// The direction of movement in radians, with the sensor's noise.
     pub direction_rad: f64,
@@ -117,7 +117,7 @@ impl StreamOffice {
         walks
     }
 
-    /// What cameras detect on a day: each person once a second, ascending by time.
+    /// The detections of the cameras on a day: each person once a second, ascending by time.
     pub fn detections(&self, day: i64) -> Vec<DetectedWalk> {
         let key =
             [2, day as u64].into_iter().fold(self.seed, |key, part| SmallRng::seed_from_u64(key ^ part).next_u64());

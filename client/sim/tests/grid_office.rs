@@ -180,7 +180,7 @@ fn scans_are_evenly_spaced_when_clocks_change_and_people_follow_the_clock() {
         let mut stream = GridStream::new(&office, 14);
         let start = stream.next().expect("a first scan").utc_nanos;
         let mut last = 0;
-        // Of the working days in the weeks before and after the change: number of flips, and sum of their hours UTC.
+        // For the working days in the weeks before and after the change: number of flips, and sum of their hours UTC.
         let mut weeks = [(0.0, 0.0); 2];
         while let Some(scan) = stream.next() {
             let since = scan.utc_nanos - start;

@@ -4,7 +4,7 @@
 //! counts as open only when the daemon has sent its first bytes: either HTTP/2 begins, or an alert has the reason why
 //! not, which HTTP/2 would lose.
 //!
-//! Invariant: what was read here is read again by HTTP/2, whole and in order.
+//! Invariant: HTTP/2 reads the bytes that were read here again, whole and in order.
 
 use std::{
     fmt,
@@ -34,7 +34,7 @@ use tonic::codegen::{Service, http::Uri};
 
 use crate::error::Error;
 
-/// How long the daemon may take from the first byte of the handshake to the first byte of HTTP/2.
+/// The time limit of the daemon from the first byte of the handshake to the first byte of HTTP/2.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(5);
 /// The frames with which HTTP/2 begins are shorter.
 const FIRST_BYTES: usize = 4096;
@@ -128,7 +128,7 @@ impl Service<Uri> for SecureConnector {
     }
 }
 
-/// A connection, with the bytes that were read of it.
+/// A connection, with the bytes that were already read from it.
 #[derive(Debug)]
 pub(super) struct SecureStream {
     first: Cursor<Vec<u8>>,

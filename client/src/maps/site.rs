@@ -78,7 +78,7 @@ impl Client {
 pub struct NoGoArea {
     /// Name of the area.
     pub name: StateName,
-    /// Its corners in their order: x, y in metres.
+    /// The corners in order: x, y in metres.
     pub corners_m: Vec<[f64; 2]>,
 }
 

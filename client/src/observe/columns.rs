@@ -132,7 +132,7 @@ pub fn pack(entries: &[Entry], names: &[Box<str>], table: &mut StreamTable) -> O
     columns
 }
 
-/// Declares new names as those of labels of categorical states.
+/// Declares new names as labels of categorical states.
 pub fn declare_labels(columns: &mut ObservationColumns, is_label: impl Fn(&str) -> bool) {
     if !columns.new_states.iter().any(|name| is_label(name)) {
         return;

@@ -1,6 +1,6 @@
 //! The checksum of the data that a producer has sent, by which both sides detect differences.
 //!
-//! Invariant: the bytes are those of `Welcome.content_crc` in `observation.proto`.
+//! Invariant: the bytes are the bytes that `Welcome.content_crc` in `observation.proto` defines.
 
 use tidemap_proto::{
     convert::{reports::append_content, sightings::SightingReport, traversals::TraversalReport},

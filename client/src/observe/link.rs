@@ -39,7 +39,7 @@ const QUEUED_BATCHES: usize = 2;
 /// Pause between two attempts to get a key that another stream holds.
 const KEY_PAUSE: Duration = Duration::from_millis(200);
 
-/// How a connection ended.
+/// The end of a connection.
 enum End {
     /// Try again.
     Broken(Error),
@@ -58,9 +58,9 @@ pub(super) struct Link {
     client: Client,
     place: StreamPlace,
     shared: Arc<Shared>,
-    /// Number of the map in its cluster, as the last Welcome says.
+    /// Number of the map in its cluster, from the last Welcome.
     map_uid: u64,
-    /// The incarnation of the last Welcome; before the first, that of the options.
+    /// The incarnation of the last Welcome; before the first Welcome, the incarnation of the options.
     incarnation: u64,
     outage: Outage,
     epoch: Instant,
@@ -198,7 +198,7 @@ impl Link {
                     observe_response::Message::Probe(_) => is_probed = true,
                     observe_response::Message::Welcome(_) => return Err(protocol("a second Welcome")),
                 },
-                // If the connection is closing, the replies say why.
+                // If the connection is closing, the replies contain the reason.
                 Ok(permit) = requests.reserve(), if ready || is_probed => {
                     if std::mem::take(&mut is_probed) {
                         permit.send(ObserveRequest { message: Some(observe_request::Message::Alive(Alive {})) });
@@ -329,7 +329,7 @@ fn ending(goodbye: Goodbye) -> End {
     })
 }
 
-/// Whether the daemon ended the stream because nothing was sent for long.
+/// Whether the daemon ended the stream because nothing was sent for a long time.
 fn is_idle(status: &Status) -> bool {
     status.code() == Code::Unavailable && status.get_details_error_info().is_some_and(|info| info.reason == "IDLE")
 }

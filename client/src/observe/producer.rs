@@ -50,8 +50,8 @@ impl Producer {
         Ok(producer)
     }
 
-    /// As [`Producer::open`], without waiting: use [`Producer::opened`]. [`Producer::watch`] shows the progress
-    /// meanwhile.
+    /// Does the same as [`Producer::open`], but does not wait: use [`Producer::opened`]. [`Producer::watch`] shows the
+    /// progress meanwhile.
     #[must_use]
     pub fn start(client: &Client, options: ProducerOptions) -> Self {
         let (sender, progress) = watch::channel(Progress::default());
@@ -107,8 +107,8 @@ impl Producer {
         self.take(state, time_nanos, |window| window.push(state, time_nanos, value)).await
     }
 
-    /// As [`Producer::send`], for a vector: its coordinates in metres, x and y, or x, y and z. A new state becomes a
-    /// vector of this many coordinates; [`ProducerOptions::kind`] is ignored.
+    /// Does the same as [`Producer::send`], for a vector: the coordinates in metres, x and y, or x, y and z. A new
+    /// state becomes a vector of this many coordinates; [`ProducerOptions::kind`] is ignored.
     ///
     /// # Errors
     /// [`ProducerError`]; the observation is then not accepted.
@@ -122,7 +122,7 @@ impl Producer {
         self.take(state, time_nanos, |window| window.push_position(state, time_nanos, position)).await
     }
 
-    /// As [`Producer::send`], for a categorical state: the label that holds.
+    /// Does the same as [`Producer::send`], for a categorical state: sends the label that holds.
     ///
     /// # Errors
     /// [`ProducerError`]; the observation is then not accepted.
@@ -192,9 +192,9 @@ impl Producer {
     }
 
     /// Waits until everything sent is durable, and ends the stream. A producer that announced data time (`nightly`)
-    /// tells the daemon that it has ended, so that updates no longer wait for it, and tries until it succeeds; one that
-    /// is dropped instead may return, as far as the daemon knows. Any other producer does not need the daemon once
-    /// everything is durable.
+    /// reports its end to the daemon, so that updates no longer wait for it, and tries until this succeeds; if such a
+    /// producer is dropped instead, the daemon assumes that it may return. Any other producer does not need the daemon
+    /// once everything is durable.
     ///
     /// # Errors
     /// [`ProducerError`].

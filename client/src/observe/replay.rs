@@ -1,6 +1,7 @@
-//! What a daemon would have after receiving the scans and observations of a file, computed without sending them.
+//! The state that a daemon would have after receiving the scans and observations of a file, computed without sending
+//! them.
 //!
-//! Invariant: numbers, checksum and tiles are those of a producer that sent the same.
+//! Invariant: numbers, checksum and tiles are equal to those of a producer that sent the same data.
 
 use tidemap_model::Position;
 use tidemap_proto::{
@@ -56,7 +57,7 @@ impl Replay {
         number.into_iter().for_each(|number| self.follow(number));
     }
 
-    /// The next observation, of a position. One whose coordinates are not two or three is none.
+    /// Adds the next observation, of a position. An observation without two or three coordinates is not counted.
     pub fn position(&mut self, state: &str, time_nanos: i64, coordinates: &[f64]) {
         let number = Position::of(coordinates).and_then(|position| self.0.push_position(state, time_nanos, position));
         number.into_iter().for_each(|number| self.follow(number));
@@ -70,7 +71,7 @@ impl Replay {
 
     fn follow(&mut self, number: u64) {
         self.0.sent(1);
-        // What was just sent can be acknowledged.
+        // The items that were just sent can be acknowledged.
         let _ = self.0.acknowledged(number);
     }
 

@@ -54,7 +54,7 @@ pub struct RangeScan {
 pub enum Scan {
     /// The tiles that were seen, none twice. Only the difference to the previous scan of the producer is sent.
     Tiles(Vec<(TileIndex, TileMasks)>),
-    /// A map: tiles, and the cells that it is a picture of, known and unknown ones, whose size the daemon remembers.
+    /// A map: tiles, and the cells that it shows, known and unknown ones, whose size the daemon remembers.
     Map {
         /// The tiles with known cells, none twice.
         tiles: Vec<(TileIndex, TileMasks)>,

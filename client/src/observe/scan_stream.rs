@@ -1,6 +1,6 @@
 //! Scans on one connection: messages within the limits of the daemon, with a table of tiles that starts empty.
 //!
-//! The slots are those of the table of the producer, on every connection. A scan is sent as its difference to the
+//! The slots are the entries of the table of the producer, on every connection. A scan is sent as its difference to the
 //! previous scan; a tile that the daemon showed on an earlier connection and has forgotten is sent whole.
 //!
 //! Invariant: the daemon decodes exactly what the producer has seen; no message exceeds the limits.
@@ -31,7 +31,7 @@ const TILE_BYTES: usize = 15;
 /// Maximum number of bytes of the whole masks of a tile.
 const MASKS_BYTES: usize = 5 + 2 * MASK_BYTES;
 
-/// What was sent on one connection.
+/// The state of the scan stream on one connection.
 #[derive(Clone, Debug)]
 pub struct ScanStream {
     /// The tiles after the last sent scan.

@@ -1,4 +1,4 @@
-//! What the handle of a producer shares with the task that talks to the daemon.
+//! The state that the handle of a producer shares with the task that exchanges messages with the daemon.
 //!
 //! Invariant: the lock of the state is never held across an await.
 
@@ -32,8 +32,8 @@ pub struct ProducerOptions {
     /// Kind of its values: new states are created with it, and observations of states of another kind are refused.
     /// `None`: existing kinds apply, and new states are probabilities.
     pub kind: Option<StateShape>,
-    /// How its states are reported: new states get it, and observations of states that are reported otherwise are
-    /// refused. `None`: each state is reported as it is, and new ones by samples.
+    /// The reporting of the states of this producer: new states get it, and observations of states with another
+    /// reporting are refused. `None`: each state keeps its reporting, and new states are reported by samples.
     pub reporting: Option<StatedReporting>,
     /// Sensor of its scans. `None`: the sensor that the daemon knows for this producer and label, or the sensor of the
     /// map for a new one. The sensor is fixed once known: announcing another one is refused.
@@ -42,13 +42,13 @@ pub struct ProducerOptions {
     pub window: usize,
     /// Maximum number of their bytes; a single scan may exceed it.
     pub window_bytes: usize,
-    /// How long to try again when the daemon cannot be reached.
+    /// The time for which the producer tries again when the daemon cannot be reached.
     pub patience: Duration,
-    /// How long to wait at first for the key (producer, label, map) if another stream holds it: the daemon needs a
-    /// moment to notice that a stream has ended.
+    /// The time that the producer waits at first for the key (producer, label, map) if another stream holds it: the
+    /// daemon needs a moment to notice that a stream has ended.
     pub key_patience: Duration,
-    /// The incarnation that it presents at first; 0, the usual one: the daemon gives it a new one. With that of an
-    /// earlier run it continues as that one, and is refused if the producer has begun anew since.
+    /// The incarnation that the producer presents at first; 0, the usual value: the daemon gives it a new one. With the
+    /// incarnation of an earlier run it continues that run, and is refused if the producer has begun anew since.
     pub incarnation: u64,
 }
 
@@ -100,8 +100,9 @@ pub struct Progress {
     pub content_crc: u32,
     /// Id of the data folder of the daemon.
     pub store_id: String,
-    /// How often the daemon came back with another data folder, such as a restored backup or an empty disk. What was
-    /// acknowledged before may be missing there; of this producer, [`ProducerError::Lost`] tells it.
+    /// The number of times that the daemon came back with another data folder, such as a restored backup or an empty
+    /// disk. Data that was acknowledged before may be missing there; for the data of this producer,
+    /// [`ProducerError::Lost`] reports it.
     pub store_changes: u64,
     /// Number of observations that became durable while the connection broke, so that refusals of them are unknown.
     pub unreported: u64,

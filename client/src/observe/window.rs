@@ -1,7 +1,7 @@
 //! The observations, scans and reports that a producer keeps until they are durable.
 //!
 //! Invariant: pure. Sequence numbers have no gaps, over items of all kinds together; each item is kept from its push
-//! until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
+//! until it is acknowledged. After a reconnection, sending continues right after the last item that the daemon has:
 //! nothing is left out, and an item that is sent twice has the same number. The tiles of the last acknowledged scan are
 //! known, so that the differences after it can be sent again.
 
@@ -61,8 +61,8 @@ pub struct Window {
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
-    /// Indices of single values, of vectors by number of coordinates, and of labels: a name that means several has
-    /// several.
+    /// Indices of single values, of vectors by number of coordinates, and of labels: a name with several meanings has
+    /// several indices.
     indices: [HashMap<Box<str>, u32>; 4],
     /// Tiles after the last pushed scan.
     tiles: TileTable,
@@ -71,7 +71,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Begins after what the daemon has at the first connection.
+    /// Begins after the items that the daemon has at the first connection.
     #[must_use]
     pub fn new(capacity: usize, durable: u64, content_crc: u32) -> Self {
         Self {
@@ -120,7 +120,7 @@ impl Window {
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 1.0, position: None })))
     }
 
-    /// Whether a name is that of a label.
+    /// Whether a name is the name of a label.
     #[must_use]
     pub fn is_label(&self, name: &str) -> bool {
         self.indices[LABELS_AT].contains_key(name)
@@ -198,8 +198,8 @@ impl Window {
     /// item comes next.
     ///
     /// A batch is sent when it is full, when no other batch is in progress, or when a caller waits for one of its
-    /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and those
-    /// of a fast one together.
+    /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and
+    /// observations of a fast producer together.
     pub fn to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),

@@ -14,7 +14,7 @@ use tonic::Streaming;
 use super::ModelSelector;
 use crate::{connection::Client, error::Error};
 
-/// What counts as an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
+/// The criterion of an anomaly (T-RO 2017, section V): the model predicts the contrary with this confidence. For other
 /// kinds than probabilities: the value lies outside the prediction interval of a single value with this confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judgement {
@@ -30,7 +30,7 @@ impl Default for Judgement {
     }
 }
 
-/// What a watch is of.
+/// The states or cells that a watch covers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WatchedPlaces {
     /// Names of states, and of cells (`cell/X/Y/Z`).
@@ -135,7 +135,8 @@ impl Anomalies {
         Ok(self.next_labelled().await?.map(|(found, _)| found))
     }
 
-    /// As [`Anomalies::next`], with the observed label of each anomaly of a categorical state; no labels for others.
+    /// Does the same as [`Anomalies::next`], and also returns the observed label of each anomaly of a categorical
+    /// state; no labels for other kinds.
     ///
     /// # Errors
     /// [`Error`]

@@ -17,7 +17,7 @@ use crate::{
 /// A cell whose change alarm rings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellAlarm {
-    /// Where it is.
+    /// The location of the cell.
     pub cell: CellIndex,
     /// The local date, YYYY-MM-DD, from which recent errors differ from their history.
     pub change_date: String,

@@ -29,8 +29,8 @@ const QUEUED_MESSAGES: usize = 2;
 /// Limits of one request of the daemon: states, and states times models and orders.
 const STATES_MAX: usize = 10_000;
 const SUMS_MAX: usize = 1_000_000;
-/// Maximum number of requests at once: half of what a connection takes. The last one takes all further states, and the
-/// daemon says where its limit is.
+/// Maximum number of requests at once: half of the requests that a connection takes. The last request takes all further
+/// states, and the daemon reports its limit.
 const PORTIONS_MAX: usize = 32;
 
 /// A request for a comparison.
@@ -38,13 +38,13 @@ const PORTIONS_MAX: usize = 32;
 pub struct EvaluateOptions {
     /// Name of the map.
     pub map: String,
-    /// The models; the spectral one without an order stands for every order up to `max_order`.
+    /// The models; the spectral model without an order means every order up to `max_order`.
     pub models: Vec<ModelSelector>,
     /// Greatest order; 15 if absent.
     pub max_order: Option<u32>,
 }
 
-/// How well a model predicted a state.
+/// The errors of a model on a state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateEvaluation {
     /// Name of the state.
@@ -100,7 +100,7 @@ struct StatePortion {
     answer: JoinHandle<Result<v1::EvaluateStatesResponse, Status>>,
     entries: Vec<Entry>,
     names: Vec<Box<str>>,
-    /// Those of the names that are of labels.
+    /// The names that are names of labels.
     labels: HashSet<Box<str>>,
     table: StreamTable,
 }
@@ -137,7 +137,7 @@ impl Evaluator {
         self.add_to(state, time_nanos, value, false).await
     }
 
-    /// As [`Evaluator::add`], for a categorical state: the label that held.
+    /// Does the same as [`Evaluator::add`], for a categorical state: adds the label that held.
     pub async fn add_label(&mut self, state: &str, time_nanos: i64, label: &str) -> bool {
         self.add_to(&format!("{state}/{label}"), time_nanos, 1.0, true).await
     }

@@ -30,7 +30,7 @@ pub struct Flows {
     pub times: Vec<Vec<FlowForecast>>,
 }
 
-/// What is expected in one cell.
+/// The forecast of the flow in one cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowForecast {
     /// Index of the cell in the raster.

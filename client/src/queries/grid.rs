@@ -84,7 +84,7 @@ impl Client {
     /// The header of the reply, without the tiles.
     ///
     /// # Errors
-    /// As [`Client::predict_grid`].
+    /// The errors of [`Client::predict_grid`].
     pub async fn estimate_grid(&self, query: &GridQuery) -> Result<GridHeader, Error> {
         self.asked(query, true).await.map(|answer| answer.header)
     }
@@ -104,7 +104,7 @@ impl Client {
         };
         let mut request = question_to_wire(&query.map, &question, estimate_only);
         if let GridOutput::Threshold(threshold) = query.output {
-            // All its digits: the daemon checks them.
+            // The request keeps all digits: the daemon checks them.
             request.threshold = threshold;
         }
         let answer = self.query_service().predict_grid(request).await.map_err(|status| self.error(&status))?;

@@ -10,7 +10,7 @@ use crate::{connection::Client, error::Error};
 /// A request for a state at places.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlaceQuery {
-    /// Name of the vector whose positions tell where the state was observed.
+    /// Name of the vector whose positions give the place of each observation.
     pub position_state: String,
     /// The places, in metres; each with as many coordinates as the vector has.
     pub places_m: Vec<Vec<f64>>,
@@ -24,7 +24,7 @@ pub struct PlaceQuery {
     pub density_values: Vec<f64>,
 }
 
-/// What is expected at a place and time.
+/// The forecast at one place and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacePrediction {
     /// Index of the place in the request.
@@ -41,7 +41,7 @@ pub struct PlacePrediction {
     pub densities: Vec<f64>,
 }
 
-/// What is expected at all places and times.
+/// The forecasts at all places and times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlacePredictions {
     /// One for each place and time.

@@ -43,7 +43,7 @@ pub struct PredictionRun {
     pub lower: Vec<f64>,
     /// Upper end of the credible interval, one per time, or empty.
     pub upper: Vec<f64>,
-    /// The probability that each interval holds, at least the level that was asked for; one per time, or empty.
+    /// The probability that each interval holds, at least the requested level; one per time, or empty.
     pub masses: Vec<f64>,
     /// Entropy of each prediction.
     pub entropies_bits: Vec<f64>,
@@ -60,15 +60,15 @@ pub struct PredictionRun {
 }
 
 impl PredictionRun {
-    /// The age of the newest observation at a time, see [`age_nanos`]. `None`: there is none.
+    /// The age of the newest observation at a time, see [`age_nanos`]. `None`: there is no observation.
     #[must_use]
     pub fn age_nanos(&self, at_nanos: i64) -> Option<i64> {
         self.last_nanos.map(|last_nanos| age_nanos(last_nanos, at_nanos))
     }
 }
 
-/// By how much a time is later than the newest observation, in nanoseconds; 0 for a time before it, which observations
-/// on both sides describe.
+/// The time from the newest observation to a time, in nanoseconds; 0 for a time before the newest observation, because
+/// observations on both sides describe it.
 #[must_use]
 pub fn age_nanos(last_nanos: i64, at_nanos: i64) -> i64 {
     at_nanos.saturating_sub(last_nanos).max(0)
@@ -216,7 +216,7 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
     *next = match time + count {
-        // How many labels there are, the daemon knows.
+        // The daemon knows the number of labels.
         all if all == piece.times.len() && !reply.label.is_empty() => Next { state, axes: axis, time: 0 },
         all if all == piece.times.len() => Next::after(state, axis),
         time => Next { state, axes: axis.saturating_sub(1), time },

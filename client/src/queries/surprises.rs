@@ -1,4 +1,4 @@
-//! What was unusual before it was learned.
+//! Unusual observations, as judged before they were learned.
 //!
 //! Invariant: runs come with the most surprising first, each with the name of its state.
 
@@ -10,7 +10,7 @@ use tidemap_proto::{
 
 use crate::{connection::Client, error::Error};
 
-/// Which unusual observations to list.
+/// A request for unusual observations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurpriseQuery {
     /// Names of states; all states of the map if there are none.
@@ -19,13 +19,13 @@ pub struct SurpriseQuery {
     pub from_nanos: i64,
     /// Last instant, not included, nanoseconds UTC; a run counts if a part of it lies between both.
     pub to_nanos: i64,
-    /// How certain the model must have been of the contrary, 0.9 to 1.
+    /// The minimum certainty of the model that the contrary holds, 0.9 to 1.
     pub confidence: f64,
     /// Maximum number of runs, 1 to 10,000.
     pub top: u32,
 }
 
-/// What was unusual.
+/// The unusual observations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surprising {
     /// Names of states with their runs, the most surprising first.
@@ -35,11 +35,12 @@ pub struct Surprising {
 }
 
 impl Client {
-    /// Lists what was unusual of states before updates learned it, and what is unusual of what none has learned yet.
+    /// Lists the observations of states that were unusual before updates learned them, and the unusual observations
+    /// that no update has learned yet.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or a state does not exist, `INVALID_ARGUMENT` if the confidence is
-    /// below 0.9 or a name is that of a cell.
+    /// below 0.9 or a name is the name of a cell.
     pub async fn surprises(&self, map: &str, query: SurpriseQuery) -> Result<Surprising, Error> {
         let SurpriseQuery { states, from_nanos, to_nanos, confidence, top } = query;
         let request = v1::ListSurprisesRequest {

@@ -19,7 +19,7 @@ use crate::{
     queries::{AvoidedPeople, ModelSelector},
 };
 
-/// When to leave or arrive, nanoseconds UTC.
+/// The time to leave or to arrive, nanoseconds UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RouteTime {
     /// Leave at this time.
@@ -46,7 +46,7 @@ pub struct RouteQuery {
     pub from: String,
     /// Name of the node to reach.
     pub to: String,
-    /// When to leave or arrive.
+    /// The time to leave or to arrive.
     pub when: RouteTime,
     /// The objective.
     pub objective: Objective,
@@ -96,9 +96,9 @@ impl RouteQuery {
 /// A step of a route: the name of its edge, and when the robot is there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedRouteStep {
-    /// Which.
+    /// The name of the edge.
     pub edge: EdgeName,
-    /// When the robot reaches the edge if nothing fails.
+    /// The time at which the robot reaches the edge if nothing fails.
     pub start_nanos: i64,
     /// Forecast duration.
     pub duration_secs: f64,
@@ -117,7 +117,7 @@ pub struct NamedRouteStep {
 /// A route from one node to another, by the names of its edges, in times UTC.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedRoute {
-    /// Its edges, in order.
+    /// The edges of the route, in order.
     pub steps: Vec<NamedRouteStep>,
     /// Departure.
     pub departure_nanos: i64,
@@ -142,7 +142,7 @@ pub struct PolicyQuery {
     pub map: String,
     /// Name of the node to reach.
     pub to: String,
-    /// When the first slot begins.
+    /// The begin of the first slot.
     pub time_nanos: i64,
     /// Length of time that the policy covers, nanoseconds.
     pub horizon_nanos: Option<i64>,
@@ -161,7 +161,7 @@ pub struct PolicyQuery {
 /// A policy: the action at each node in each slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
-    /// When the first slot begins.
+    /// The begin of the first slot.
     pub time_nanos: i64,
     /// Length of a slot.
     pub slot_nanos: i64,

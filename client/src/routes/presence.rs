@@ -61,7 +61,7 @@ pub struct JointQuery {
     pub states: Vec<String>,
     /// The first time that counts, nanoseconds UTC.
     pub from_nanos: i64,
-    /// How far to look ahead, nanoseconds.
+    /// The forecast horizon, nanoseconds.
     pub within_nanos: Option<i64>,
     /// Interval between the times that are tried, nanoseconds.
     pub step_nanos: Option<i64>,
@@ -71,7 +71,7 @@ pub struct JointQuery {
     pub model: ModelSelector,
 }
 
-/// When several states are likely to be 1 together.
+/// The next time at which several states are likely to be 1 together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
     /// The first time at which the product exceeds the threshold, nanoseconds UTC.

@@ -1,4 +1,4 @@
-//! Which nodes a robot reaches from one node at one time.
+//! The nodes that a robot reaches from one node at one time.
 //!
 //! Invariant: a node of the answer has the best route of `PlanRoute`; a node without one has no route within the
 //! horizon.
@@ -8,7 +8,7 @@ use tonic::Code;
 use super::{Certainty, RouteQuery, RouteTime};
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
-/// A question for what is reachable. `None`: the daemon's default.
+/// A request for the reachable nodes. `None`: the daemon's default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReachableQuery {
     /// Name of the map.
@@ -27,7 +27,7 @@ pub struct ReachableQuery {
     pub speed_m_per_s: Option<f64>,
 }
 
-/// How a robot reaches a node by the route that is the least likely to fail.
+/// A node, with the route to it that is the least likely to fail.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReachableNode {
     /// Name of the node.
@@ -45,8 +45,9 @@ pub struct ReachableNode {
 }
 
 impl Client {
-    /// The nodes with the best route to each, by falling probability of success; of equal ones first the fastest, last
-    /// those without a route. Each is a request of its own: an update that ends meanwhile counts for those after it.
+    /// The nodes with the best route to each, by falling probability of success; among equal ones the fastest first;
+    /// nodes without a route come last. Each node is a request of its own: an update that ends meanwhile counts for the
+    /// nodes after it.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or a node does not exist, `FAILED_PRECONDITION` if the
@@ -58,7 +59,7 @@ impl Client {
             speed_m_per_s: query.speed_m_per_s,
             ..RouteQuery::new(&query.map, &query.from, node, RouteTime::Depart(query.at_nanos))
         };
-        // There is always a way to where the robot is: what fails here is not for want of a route.
+        // There is always a route to the node where the robot is: this request fails only for another reason.
         self.plan_route(route_to(&query.from)).await?;
         let mut found = Vec::with_capacity(query.nodes.len());
         for node in &query.nodes {

@@ -1,6 +1,6 @@
 //! Errors of reading a file of scans.
 //!
-//! Invariant: an error gives the position in the file, the number of complete scans before it, and what would be valid.
+//! Invariant: an error gives the position in the file, the number of complete scans before it, and the valid form.
 
 use std::{io, sync::Arc};
 
@@ -17,7 +17,7 @@ pub enum ScanFileError {
     Wrong { offset: u64, scans: u64, wrong: ScanFileFault },
 }
 
-/// What is wrong with a file of scans.
+/// The fault of a file of scans.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum ScanFileFault {

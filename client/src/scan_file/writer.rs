@@ -1,6 +1,7 @@
 //! Writes files of scans.
 //!
-//! Invariant: the batches are those that a producer would send on its first connection; each can be sent as it is.
+//! Invariant: the batches are the batches that a producer would send on its first connection; each can be sent as it
+//! is.
 
 use std::io::{self, Write};
 
@@ -63,7 +64,7 @@ impl<W: Write> ScanFileWriter<W> {
         Ok(self.write(false)?)
     }
 
-    /// Adds a scan as on the wire: its slots are those of the tiles so far, including `new_tiles` (x, y, z of each).
+    /// Adds a scan in wire form: its slots number the tiles so far, including `new_tiles` (x, y, z of each).
     ///
     /// # Errors
     /// [`ScanWriteError`]
@@ -100,7 +101,7 @@ impl<W: Write> ScanFileWriter<W> {
                 self.bytes += bytes.len() as u64;
             }
             self.window.sent(count);
-            // What was just sent can be acknowledged.
+            // The scans that were just sent can be acknowledged.
             let _ = self.window.acknowledged(first_sequence + count as u64 - 1);
         }
     }

@@ -1,4 +1,4 @@
-//! How a command fails.
+//! The failure of a command.
 //!
 //! Invariant: a wrong command line is an error of its own type, because scripts rely on its exit status, 2.
 

@@ -1,7 +1,7 @@
-//! What tidemap's programs write on a terminal: results on stdout, everything else on stderr.
+//! The output of tidemap's programs on a terminal: results on stdout, everything else on stderr.
 //!
-//! Invariant: no program of tidemap writes to stdout or stderr in another way, so that what is not printable never
-//! reaches a terminal.
+//! Invariant: no program of tidemap writes to stdout or stderr in another way, so that unprintable characters never
+//! reach a terminal.
 
 pub mod failure;
 pub mod output;

@@ -1,6 +1,6 @@
-//! Results on stdout, in the format that the user asked for.
+//! Results on stdout, in the format that the user chose.
 //!
-//! Invariant: nothing else writes to stdout. What is not printable, such as an ESC in a name of a recording, does not
+//! Invariant: nothing else writes to stdout. Unprintable characters, such as an ESC in a name of a recording, do not
 //! reach a terminal; files and other programs get CSV as it is.
 
 use std::{
@@ -46,7 +46,7 @@ pub fn format_parser() -> impl TypedValueParser<Value = Format> {
     })
 }
 
-/// Where results go.
+/// The destination of results.
 pub type Stdout = BufWriter<Results<io::Stdout>>;
 
 /// Stdout, for results.
@@ -66,7 +66,7 @@ pub fn print(text: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// A text as a terminal may show it: all but line ends and tabulators that is not printable is escaped.
+/// A text as a terminal may show it: unprintable characters except line ends and tabulators are escaped.
 pub fn for_terminal(text: &str) -> Cow<'_, str> {
     if !text.contains(['\n', '\t']) {
         return printable(text);
@@ -94,7 +94,7 @@ impl<W: Write> Write for Results<W> {
             return self.writer.write(bytes);
         }
         self.cut.extend_from_slice(bytes);
-        // A character has at most four bytes; what cannot begin one is shown as the replacement character.
+        // A character has at most four bytes; a byte that cannot begin one is shown as the replacement character.
         let whole = match std::str::from_utf8(&self.cut) {
             Err(error) if error.error_len().is_none() => error.valid_up_to(),
             _ => self.cut.len(),

@@ -1,7 +1,7 @@
 //! Status lines on stderr, and progress bars if stderr is a terminal.
 //!
 //! Invariant: nothing here can fail; if stderr is closed, its lines are lost and the command continues. Names of files
-//! and of the wire may be in any line: what is not printable is escaped.
+//! and of the wire may be in any line: unprintable characters are escaped.
 
 use std::{
     io::{self, Write as _},
@@ -14,7 +14,7 @@ use crate::output::for_terminal;
 
 const TICK: Duration = Duration::from_millis(200);
 
-/// Prints a line to stderr. What follows a line end in it is set off, so that it does not look like a line of its own.
+/// Prints a line to stderr. Text after a line end is set off, so that it does not appear as a line of its own.
 pub fn status_line(line: &str) {
     let _ = writeln!(io::stderr().lock(), "{}", for_terminal(line).replace('\n', "\n  "));
 }
@@ -50,12 +50,12 @@ impl Bar {
         Self(bar)
     }
 
-    /// So much is done.
+    /// Sets the amount that is done.
     pub fn set(&self, position: u64) {
         self.0.set_position(position);
     }
 
-    /// So much is done, of so much in all.
+    /// Sets the amount that is done, and the total.
     pub fn set_of(&self, position: u64, total: u64) {
         self.0.set_length(total);
         self.0.set_position(position);

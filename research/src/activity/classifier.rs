@@ -1,7 +1,7 @@
-//! The classifiers: what they say of each true activity.
+//! The classifiers: their answers for each true activity.
 //!
-//! A minute without a known activity is no error of a classifier: it says so there and nowhere else, as the measured
-//! one does.
+//! A minute without a known activity is no error of a classifier: it names "no activity" there and nowhere else, as the
+//! measured classifier does.
 //!
 //! Invariant: the row of an activity has the likelihood of each activity that the classifier may name.
 
@@ -22,7 +22,7 @@ impl ActivityClassifier {
     /// All, in the order of the results.
     pub const ALL: [Self; 3] = [Self::Strong, Self::Weak, Self::Measured];
 
-    /// Its name on the command line and in results.
+    /// The name of the classifier on the command line and in results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Strong => "strong",
@@ -36,7 +36,7 @@ impl ActivityClassifier {
         Self::ALL.into_iter().find(|classifier| classifier.name() == name)
     }
 
-    /// Its matrix, a row for each true activity.
+    /// The matrix of the classifier, a row for each true activity.
     pub(super) fn matrix(self, recording: &ActivityRecording) -> Vec<Vec<f64>> {
         match self {
             Self::Strong => even_errors(recording.names.len(), 0.8),

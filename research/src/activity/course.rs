@@ -1,7 +1,7 @@
-//! One run: every minute is classified, and every midnight learns what was recognised on the day.
+//! One run: every minute is classified, and every midnight the activities recognised on the day are learned.
 //!
-//! Invariant: the posterior of a minute uses what was recognised on earlier days only; the true activity decides
-//! nothing but what the classifier says, and the score.
+//! Invariant: the posterior of a minute uses the activities recognised on earlier days only; the true activity decides
+//! only the answer of the classifier, and the score.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_model::label_evidence::{LabelEvidence, LabelPlaces};
@@ -87,7 +87,7 @@ pub(super) fn run(
                 spatial: spatial[place].as_deref().filter(|_| setting.knows_place),
             };
             let posterior = evidence.posterior()?;
-            // The first activity stands for none that is known.
+            // The first activity means that none is known.
             if activity > 0 {
                 of_day[activity][minute * HOURS / DAY_MINUTES].add(posterior[activity]);
             }

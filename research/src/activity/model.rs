@@ -1,4 +1,5 @@
-//! The models that compete: none, one kind of the catalogue for every activity, or what a map chooses night by night.
+//! The models that compete: none, one kind of the catalogue for every activity, or the model that a map chooses night
+//! by night.
 //!
 //! Invariant: the name of a model reads back as the model.
 
@@ -10,7 +11,7 @@ use tidemap_model::{
     selector::{Blend, ModelSelector},
 };
 
-/// Where the temporal prior comes from.
+/// The source of the temporal prior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActivityModel {
     /// Nowhere: it is even at all times.
@@ -73,7 +74,7 @@ impl FromStr for ActivityModel {
         let ModelSelector { kind, blend, .. } = text.parse().map_err(|_| wrong())?;
         match kind {
             _ if blend != Blend::None || kind.takes_newest() || !kind.supports(StateKind::Probability) => Err(wrong()),
-            // They need an order.
+            // These kinds need an order.
             ModelKind::Spectral | ModelKind::Uniform => Err(wrong()),
             ModelKind::Auto => Ok(Self::Auto),
             kind => Ok(Self::One(kind, None)),

@@ -1,6 +1,6 @@
-//! What is usual: how likely each activity is at each minute of a day, learned from the days before.
+//! The priors: the probability of each activity at each minute of a day, learned from the days before.
 //!
-//! Invariant: a day is asked for before it is learned; the days before the first are even.
+//! Invariant: a day is predicted before it is learned; the days before the first are even.
 
 use tidemap_map::{
     event::{Observations, StateKind},
@@ -59,7 +59,7 @@ fn even(labels: usize) -> f64 {
     1.0 / labels as f64
 }
 
-/// Whether an activity was the one that was recognised, minute by minute.
+/// Whether an activity was the recognised one, minute by minute.
 fn samples(day: usize, recognised: &[usize], label: usize) -> impl Iterator<Item = Sample> {
     recognised.iter().enumerate().map(move |(minute, &found)| Sample {
         utc_nanos: minute_nanos(day, minute),

@@ -1,4 +1,5 @@
-//! A recording of what a person did in every minute, and where; with the classifier that was measured there.
+//! A recording of the activity of a person in every minute, and of the place; with the classifier that was measured
+//! there.
 //!
 //! A folder has `activity_names.txt`, a name a line, counted from 0; `activity_15days.txt` and `location_15days.txt`, a
 //! number a line for each minute from midnight of the first day; `confusion.txt`, a row for each true activity.
@@ -41,13 +42,13 @@ pub enum ActivityRecordingError {
 /// Activities and places by minute.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ActivityRecording {
-    /// Names of the activities. The first stands for none that is known; two or more are known.
+    /// Names of the activities. The first means that none is known; two or more are known.
     pub(crate) names: Vec<String>,
     /// The activity in each minute.
     pub(crate) activities: Vec<usize>,
     /// The place in each minute.
     pub(crate) places: Vec<usize>,
-    /// For each true activity, the likelihood of each that the classifier may say.
+    /// For each true activity, the likelihood of each answer of the classifier.
     pub(crate) confusion: Vec<Vec<f64>>,
 }
 

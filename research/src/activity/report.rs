@@ -11,7 +11,7 @@ use super::{ActivityComparison, ActivityScores, TrueActivity, course::HOURS};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, write_rows};
 
-/// What each row begins with.
+/// The first columns of each row.
 const SETTING: [&str; 3] = ["classifier", "model", "place"];
 
 fn setting_cells(scores: &ActivityScores) -> Vec<Cell> {

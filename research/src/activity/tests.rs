@@ -1,7 +1,7 @@
 //! The experiment on a small recording whose scores follow by hand, on wrong recordings, and on the first days of a
 //! real one.
 //!
-//! Invariant: the small recording has one rhythm, so that what a model has to learn is certain.
+//! Invariant: the small recording has one rhythm, so that the pattern that a model has to learn is certain.
 
 #![allow(clippy::unwrap_used)]
 
@@ -14,7 +14,7 @@ use super::{
     recording::ActivityRecording, run, write,
 };
 
-/// Three days: asleep in room 1 until 8 h, then at work in room 2, and nobody knows what after 22 h.
+/// Three days: asleep in room 1 until 8 h, then at work in room 2, and with no known activity after 22 h.
 fn small() -> TempDir {
     let folder = tempdir().unwrap();
     let day =
@@ -58,7 +58,7 @@ fn without_a_prior_the_score_is_what_the_classifier_gives_the_true_activity() {
     let folder = small();
     let classifiers = vec![ActivityClassifier::Weak, ActivityClassifier::Measured];
     let outcome = scores(&ActivityProtocol { classifiers, ..protocol(folder.path(), &["even"]) });
-    // Eight hours at 0.5 and fourteen at 0.9; two that nobody knows are left out.
+    // Eight hours at 0.5 and fourteen at 0.9; two hours without a known activity are left out.
     let measured = (8.0 * 0.5 + 14.0 * 0.9) / 22.0;
     for of_day in 0..3 {
         assert!((day(&outcome, 0, of_day) - 0.2).abs() < 1e-12, "{outcome:?}");
@@ -75,7 +75,7 @@ fn the_first_day_has_an_even_prior_and_the_days_after_it_what_was_recognised() {
     }
     let last = |setting: usize| day(&outcome, setting, 2);
     let (even, by_place, mean, hours, auto) = (last(0), last(1), last(2), last(4), last(6));
-    // A mean knows that nobody eats, a histogram when somebody works.
+    // A mean predicts that nobody eats, a histogram predicts when somebody works.
     assert!(even < mean && mean < hours && hours > 0.97, "{mean} {hours}");
     assert!(auto > mean && auto > 0.95, "{mean} {auto}");
     assert!(by_place > 0.9, "each room has its activity: {by_place}");
@@ -148,7 +148,7 @@ fn errors_that_fall_have_a_slope_below_0_and_a_low_p_value() {
     assert!((trend.slope + 0.05).abs() < 1e-12 && trend.p_value < 0.001, "{trend:?}");
     let level = DayTrend::new(&[0.5; 10]).unwrap();
     assert_eq!((level.slope, level.p_value), (0.0, 1.0));
-    // No order of three days is steeper than both of those that rise or fall: 2 of 6.
+    // No order of three days is steeper than the two that rise or fall: 2 of 6.
     let few = DayTrend::new(&[0.3, 0.2, 0.1]).unwrap();
     assert!((few.p_value - 1.0 / 3.0).abs() < 0.05, "{few:?}");
     assert_eq!(DayTrend::new(&[0.3, 0.2]), None);

@@ -1,7 +1,7 @@
 //! Whether errors fall from day to day.
 //!
-//! The slope is that of a straight line (least squares). Its p-value is the share of orders of the days whose slope is
-//! at least as steep, up or down: a permutation test with a fixed seed.
+//! The slope is the slope of a straight line (least squares). Its p-value is the share of orders of the days whose
+//! slope is at least as steep, up or down: a permutation test with a fixed seed.
 //!
 //! Invariant: the same days give the same trend.
 
@@ -10,13 +10,13 @@ use rand::{SeedableRng as _, rngs::SmallRng, seq::SliceRandom as _};
 /// Number of orders that are drawn.
 const DRAWS: usize = 9_999;
 const SEED: u64 = 1;
-/// A slope nearer to 0 than this is one of equal values, and rounding.
+/// A slope nearer to 0 than this comes from equal values, and rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// The slope of values over days.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DayTrend {
-    /// By how much a value changes in a day.
+    /// The change of a value in a day.
     pub slope: f64,
     /// The two-sided p-value.
     pub p_value: f64,

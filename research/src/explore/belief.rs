@@ -20,7 +20,7 @@ pub enum BeliefModel {
     /// chain, with the model's p(t) for the chain's constant (RAS 2017, eq. 6).
     #[allow(missing_docs, reason = "see the types")]
     Each { kind: ModelKind, blend: Blend },
-    /// All places together: the person is at exactly one of them.
+    /// A model of all places together: the person is at exactly one of them.
     Presence,
 }
 
@@ -35,7 +35,7 @@ impl BeliefModel {
         plain.chain(blended).chain([BeliefModel::Presence])
     }
 
-    /// Its name in protocols.
+    /// The name of the model in protocols.
     pub fn name(self) -> String {
         match self {
             BeliefModel::Each { kind, blend } => format!("{}{}", kind.name(), blend.suffix()),
@@ -78,21 +78,21 @@ struct PlaceBelief {
     persistence: tidemap_model::Persistence,
     /// The short-term memory of RAS 2017, section 4.2, if it is used.
     chain: Option<MarkovChain>,
-    /// What the model knows of each slot of the current day.
+    /// The predictions of the model for each slot of the current day.
     today: Vec<Known>,
 }
 
-/// What is known of a place at a time.
+/// The prediction for a place at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Known {
     /// The probability that the person is there.
     pub probability: f64,
-    /// The number of looks for which it stands; `None` where the model does not count them.
+    /// The effective number of half-hour bins behind the probability; `None` if the model does not count them.
     pub looks: Option<f64>,
 }
 
 impl Default for Known {
-    /// Nobody has looked.
+    /// The prediction before any observation.
     fn default() -> Known {
         Known { probability: 0.5, looks: Some(0.0) }
     }
@@ -148,7 +148,7 @@ impl Belief {
         }
     }
 
-    /// What is known of all places at the middle of the current slot.
+    /// The predictions for all places at the middle of the current slot.
     pub(super) fn now(&self) -> Vec<Known> {
         let Some(slot) = self.now else { return vec![Known::default(); self.places.len()] };
         match &self.presence {
@@ -157,8 +157,8 @@ impl Belief {
         }
     }
 
-    /// What is known of all places at the middle of each slot of the day that starts with a slot, before that slot is
-    /// entered.
+    /// The predictions for all places at the middle of each slot of the day that starts with a slot, before that slot
+    /// is entered.
     pub(super) fn ahead(&self, slot: usize) -> Vec<Vec<Known>> {
         match &self.presence {
             Some(presence) => {
@@ -212,7 +212,7 @@ impl Belief {
     }
 }
 
-/// What the model of all places together knows of one.
+/// The prediction of the model of all places together for one place.
 fn together(&probability: &f64) -> Known {
     Known { probability, looks: None }
 }

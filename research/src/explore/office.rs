@@ -17,7 +17,7 @@
 //! A tour is planned by `plan_tour` on the explorer's prediction; an observation is `ViewScorer::cells` on the truth,
 //! and becomes one scan. A last map is certain of all cells that it has seen, so its tours end when the office is
 //! known; unused goals of a plan go to cells that were not seen since a round began. The slots of the first day are
-//! random and equal for all; regular times would make periods of 24 h / i and 24 h / (24 - i) look the same.
+//! random and equal for all; regular times would make periods of 24 h / i and 24 h / (24 - i) indistinguishable.
 //!
 //! Invariant: predictions use earlier observations only, and the same protocol gives the same figures for any number of
 //! threads.
@@ -84,7 +84,7 @@ pub struct ExplorerCourse {
     pub discovered: Vec<u64>,
     /// Tours with at least one observation, for each day.
     pub tours: Vec<u64>,
-    /// Those of the tours from 8:00 to 18:00, for each day.
+    /// The number of these tours from 8:00 to 18:00, for each day.
     pub tours_by_day: Vec<u64>,
 }
 
@@ -104,7 +104,7 @@ pub struct DayFigures {
     pub kind: ExplorerKind,
     /// Mean error over slots and seeds, 0 to 1.
     pub error: f64,
-    /// The error minus that of the first explorer.
+    /// The error minus the error of the first explorer.
     pub difference: f64,
     /// For each seed, the p-value of that difference over the slots of the day; empty for the first explorer.
     pub p_values: Vec<f64>,

@@ -47,7 +47,7 @@ pub struct PlacesProtocol {
     pub weeks: Option<(usize, usize)>,
     /// Strategies, at least one.
     pub strategies: Vec<VisitStrategy>,
-    /// How strategies measure the worth of a visit, at least one way.
+    /// The measures of the worth of a visit, at least one.
     pub worths: Vec<VisitWorth>,
     /// Models, at least one.
     pub models: Vec<BeliefModel>,

@@ -1,7 +1,7 @@
 //! One run: a strategy with a model and a seed, from the first day to the last.
 //!
-//! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule ahead use the whole
-//! budget.
+//! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule a day in advance use the
+//! whole budget.
 
 use tidemap_model::{InformationMeasure, Predictive};
 use tidemap_plan::{
@@ -25,9 +25,9 @@ pub enum VisitStrategy {
     Random,
     /// The visits of a day that are worth most.
     Greedy,
-    /// Drawn in proportion to what they are worth.
+    /// Places are drawn in proportion to their worth.
     MonteCarlo,
-    /// As Monte Carlo, but changed where the short-term memory contradicts the model.
+    /// The schedule of Monte Carlo, but changed where the short-term memory contradicts the model.
     NoveltyDriven,
     /// At each slot the place whose visit is worth most.
     Online,
@@ -36,7 +36,7 @@ pub enum VisitStrategy {
 }
 
 impl VisitStrategy {
-    /// All of them.
+    /// All strategies.
     pub const ALL: [VisitStrategy; 7] = [
         VisitStrategy::RoundRobin,
         VisitStrategy::Random,
@@ -47,7 +47,7 @@ impl VisitStrategy {
         VisitStrategy::OnlineError,
     ];
 
-    /// Its name in protocols.
+    /// The name of the strategy in protocols.
     pub fn name(self) -> &'static str {
         match self {
             VisitStrategy::RoundRobin => "round-robin",
@@ -60,7 +60,7 @@ impl VisitStrategy {
         }
     }
 
-    /// The strategy that schedules a day ahead; none if visits are chosen slot by slot.
+    /// The strategy that schedules a day in advance; none if visits are chosen slot by slot.
     fn ahead(self, visited: u64) -> Option<Strategy> {
         match self {
             VisitStrategy::RoundRobin => Some(Strategy::RoundRobin { visited }),
@@ -72,7 +72,7 @@ impl VisitStrategy {
     }
 }
 
-/// How strategies measure the worth of a visit.
+/// A measure of the worth of a visit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VisitWorth {
     /// The entropy of the prediction (RAS 2017, eq. 10).
@@ -82,12 +82,12 @@ pub enum VisitWorth {
 }
 
 impl VisitWorth {
-    /// All of them.
+    /// All measures.
     pub fn all() -> impl Iterator<Item = VisitWorth> {
         std::iter::once(VisitWorth::Entropy).chain(InformationMeasure::ALL.map(VisitWorth::Information))
     }
 
-    /// Its name in protocols.
+    /// The name of the measure in protocols.
     pub fn name(self) -> &'static str {
         match self {
             VisitWorth::Entropy => "entropy",
@@ -107,14 +107,14 @@ impl VisitWorth {
     }
 }
 
-/// How an explorer chooses.
+/// The strategy of an explorer, and its state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Explorer {
     /// The share of slots that may be used for visits, 0 to 1.
     pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
-    /// How it measures the worth of a visit.
+    /// The measure of the worth of a visit.
     pub worth: VisitWorth,
     /// The model of the places.
     pub model: BeliefModel,
@@ -170,7 +170,7 @@ pub(super) fn replay(world: &PlaceRecording, explorer: Explorer, seed: u64) -> R
     Ok(run)
 }
 
-/// The place to visit in the current slot; `planned` is the place scheduled ahead.
+/// The place to visit in the current slot; `planned` is the place scheduled in advance.
 fn visit(
     (strategy, worth): (VisitStrategy, VisitWorth),
     planned: Option<usize>,

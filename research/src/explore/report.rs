@@ -13,9 +13,9 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each strategy and model.
 ///
-/// Columns: exploration (if the protocol lists several), strategy, information (likewise), model,
-/// error_percent over the whole world and its standard error over seeds, the same for the weeks that are scored
-/// separately, and visits_per_day.
+/// Columns: exploration (if the protocol lists several), strategy, information (likewise), model, error_percent over
+/// the whole world and its standard error over seeds, both also for the weeks that are scored separately, and
+/// visits_per_day.
 pub fn summary<W: Write>(
     protocol: &PlacesProtocol,
     outcome: &Exploration,
@@ -50,7 +50,7 @@ fn names(protocol: &PlacesProtocol) -> impl Iterator<Item = &'static str> + use<
     several.into_iter().chain(["strategy"]).chain(worths).chain(["model"])
 }
 
-/// What [`names`] are of a result.
+/// The values of [`names`] for a result.
 fn named(protocol: &PlacesProtocol, result: &StrategyResult) -> Vec<Cell> {
     let mut cells = Vec::with_capacity(4);
     cells.extend((protocol.explorations.len() > 1).then_some(Cell::Number(result.exploration)));

@@ -135,9 +135,9 @@ fn a_world_has_one_place_in_every_minute() {
 fn of_a_regular_life_all_but_the_surprise_is_learned() {
     let outcome = explore(&regular(28), &protocol(PROTOCOL), &|_, _| ()).unwrap();
     let late = |plan, model| error(&outcome, plan, model, 21..28);
-    // Where somebody is in no place for most of the time, the mean says that nobody is anywhere.
+    // If a person is in no place for most of the time, the mean predicts that no one is anywhere.
     assert!(late(VisitStrategy::RoundRobin, "mean") > 15.0);
-    // In turn, each place is seen at the same times every day, and what happens at others stays unknown.
+    // In turn, each place is seen at the same times every day, and events at other times stay unknown.
     assert!(late(VisitStrategy::RoundRobin, "presence") > 10.0);
     let best = late(VisitStrategy::OnlineError, "presence");
     assert!(best < 5.0, "{best}");
@@ -149,13 +149,13 @@ fn of_a_regular_life_all_but_the_surprise_is_learned() {
 
 #[test]
 fn nothing_is_known_before_it_is_seen() {
-    // Without a visit a state is not believed to be on: one place of four is wrong in every minute, forever.
+    // Without a visit a state is not predicted to be on: one place of four is wrong in every minute, forever.
     let text = PROTOCOL.replace("exploration: 0.25", "exploration: 0");
     let outcome = explore(&regular(21), &protocol(&text), &|_, _| ()).unwrap();
     for result in &outcome.results {
         assert!((result.error(0..21).mean - 0.25).abs() < 1e-12, "{} {:?}", result.model.name(), result.error(0..21));
     }
-    // What comes later changes nothing before.
+    // Later data changes no earlier result.
     let all = "round-robin, random, greedy, monte-carlo, novelty-driven, online, online-error";
     let models = "mean, persistence, spectral, histogram, calibrated, spectral+persistence, spectral+memory, presence";
     let text = PROTOCOL
@@ -228,7 +228,7 @@ fn measures_of_a_visit_are_compared_in_one_run() {
     let [gain, gain_of_mean, both, both_of_mean] = &outcome.results[..] else { panic!("{}", outcome.results.len()) };
     assert_eq!((gain.worth.name(), both.worth.name()), ("ral", "both"));
     assert_ne!(gain.days, both.days);
-    // The mean counts no looks, so only a place of which nothing is known is worth more.
+    // The mean counts no bins, so only a place without any observation is worth more.
     assert_eq!(gain_of_mean.model, both_of_mean.model);
     let folder = tempfile::tempdir().unwrap();
     write(&protocol, &outcome, folder.path()).unwrap();

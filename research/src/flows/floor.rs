@@ -69,7 +69,7 @@ impl Floor {
         node.ok_or_else(|| FlowsError::Setting(format!("{place_m:?} is inside a wall")))
     }
 
-    /// Where an edge begins and ends, metres.
+    /// The begin and the end of an edge, metres.
     pub(super) fn ends_m(&self, edge: &Edge) -> [[f64; 2]; 2] {
         [edge.from, edge.to].map(|node| {
             let pose = self.topology.node(node).ok().and_then(|node| node.pose);

@@ -14,10 +14,10 @@ use crate::report::file;
 
 /// Writes a row for each way to cross the floor, the shortest first.
 ///
-/// Columns: robot; squared error of the number of detections in a cell and ten minutes by its model, that of the mean
-/// being 1, with the two-sided p_value over days; log-likelihood of a detected direction by its model in nats, with the
-/// p_value against the timeless histogram; seconds near people, people near, and metres, each for a trip; the seconds
-/// near people and the metres of the shortest way being 1.
+/// Columns: robot; squared error of the number of detections in a cell and ten minutes by its model, divided by the
+/// error of the mean, with the two-sided p_value over days; log-likelihood of a detected direction by its model in
+/// nats, with the p_value against the timeless histogram; seconds near people, people near, and metres, each for a
+/// trip; the seconds near people and the metres of the shortest way being 1.
 pub fn summary<W: Write>(outcome: &FlowComparison, format: Format, writer: W) -> io::Result<()> {
     let columns = [
         "robot",

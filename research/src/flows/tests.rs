@@ -1,4 +1,4 @@
-//! What `flows.rs` promises, on a short run.
+//! The promises of `flows.rs`, on a short run.
 
 use super::*;
 

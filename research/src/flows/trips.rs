@@ -22,10 +22,10 @@ const EVERY_SECS: f64 = 1_800.0;
 const TRIPS_SECS: [f64; 2] = [25_200.0, 68_400.0];
 /// The ends of a trip, in the western and in the eastern short corridor.
 const ENDS_M: [[f64; 2]; 2] = [[2.5, 8.5], [37.5, 8.5]];
-/// What a second near a person is worth avoiding, seconds.
+/// The detour that avoiding one second near a person is worth, seconds.
 const ENCOUNTER_COST_SECS: f64 = 10.0;
 
-/// How a robot crosses the floor.
+/// The way in which a robot crosses the floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crossing {
     /// On the shortest way.
@@ -39,7 +39,7 @@ impl Crossing {
     pub const ALL: [Crossing; 3] =
         [Crossing::Shortest, Crossing::Avoiding(ComparedFlow::Timeless), Crossing::Avoiding(ComparedFlow::Spectral)];
 
-    /// Its name in results.
+    /// The name of the way of crossing in results.
     pub fn name(self) -> &'static str {
         match self {
             Crossing::Shortest => "shortest",
@@ -160,7 +160,7 @@ fn drive(edges: &[&Edge], floor: &Floor, start_secs: f64, walks: &[StreamWalk]) 
     totals
 }
 
-/// Where the robot is some seconds after its start.
+/// The position of the robot some seconds after its start.
 fn place_after(edges: &[&Edge], floor: &Floor, after_secs: f64) -> [f64; 2] {
     let mut left = after_secs;
     for edge in edges {

@@ -1,24 +1,24 @@
-//! Predictions that anybody can make with a table: what tidemap has to beat.
+//! Baselines: predictions that anybody can make with a table, and that tidemap has to beat.
 //!
-//! Invariant: a prediction uses looks of earlier days only. Each look counts once.
+//! Invariant: a prediction uses readings of earlier days only. Each reading counts once.
 
 use super::{calendar::Calendar, world::Look};
 
 /// The names of the baselines, in the order of [`Baselines::predict`].
 pub const BASELINES: [&str; 5] =
     ["hour of week", "hour of weekday or weekend", "hour of week, fading", "last week", "yesterday"];
-/// After so many days a look counts half in the fading table.
+/// After this many days a reading counts half in the fading table.
 const HALF_LIFE_DAYS: f64 = 21.0;
 /// Steps of a day and of a week.
 const DAY_STEPS: usize = 144;
 const WEEK_STEPS: usize = 7 * DAY_STEPS;
-/// Where a step was not looked at, these around it are tried in turn.
+/// If a step has no reading, these steps around it are tried in turn.
 const AROUND: [isize; 7] = [0, -1, 1, -2, 2, -3, 3];
-/// What is said of a single look is at least this far from 0 and 1.
+/// A prediction from a single reading is at least this far from 0 and 1.
 const CERTAIN: f64 = 0.02;
 const WEEK_HOURS: usize = 168;
 
-/// Sum and number of looks.
+/// Sum and number of readings.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     sum: f64,
@@ -31,7 +31,7 @@ impl Tally {
         self.looks += 1.0;
     }
 
-    /// The mean with a look of 0 and one of 1 before all others (Laplace).
+    /// The mean with a reading of 0 and one of 1 before all others (Laplace).
     fn mean(self) -> f64 {
         (self.sum + 1.0) / (self.looks + 2.0)
     }
@@ -44,12 +44,12 @@ pub(super) struct Baselines {
     hours: Vec<Tally>,
     kinds: Vec<Tally>,
     fading: Vec<Tally>,
-    /// By step, what was last read in it; steps that were not learned have none.
+    /// The last reading of each step; steps that were not learned have none.
     values: Vec<Option<f64>>,
 }
 
 impl Baselines {
-    /// Baselines without looks, for the steps of a calendar.
+    /// Baselines without readings, for the steps of a calendar.
     pub(super) fn new(calendar: &Calendar) -> Self {
         let week = vec![Tally::default(); WEEK_HOURS];
         Self {
@@ -74,14 +74,14 @@ impl Baselines {
         ]
     }
 
-    /// What was seen so many steps before.
+    /// The reading this many steps before.
     fn before(&self, step: usize, steps: usize) -> f64 {
         let Some(then) = step.checked_sub(steps) else { return bounded(self.all.mean()) };
         let seen = |around: isize| self.values.get(then.checked_add_signed(around)?).copied().flatten();
         bounded(AROUND.into_iter().find_map(seen).unwrap_or_else(|| self.all.mean()))
     }
 
-    /// Learns the looks of a day.
+    /// Learns the readings of a day.
     pub(super) fn learn(&mut self, calendar: &Calendar, looks: &[Look]) {
         let kept = 0.5_f64.powf(1.0 / HALF_LIFE_DAYS);
         for tally in &mut self.fading {

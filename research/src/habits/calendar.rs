@@ -10,7 +10,7 @@ use tidemap_model::{LocalDay, UnknownZone, Zone};
 
 /// The first day, a Monday.
 pub(super) const FIRST: Date = jiff::civil::date(2025, 9, 1);
-/// As days since 1970.
+/// The first day, in days since 1970.
 const FIRST_DAY: i32 = 20_332;
 /// Length of a step in seconds.
 pub(super) const STEP_SECS: i64 = 600;
@@ -24,18 +24,18 @@ const DAY_SECS: i64 = 86_400;
 pub(super) struct HabitDay {
     /// The local date.
     pub(super) date: Date,
-    /// Its number, from 0.
+    /// The number of the day, from 0.
     pub(super) number: usize,
     /// 0 for Monday to 6 for Sunday.
     pub(super) weekday: usize,
-    /// By how many hours the local time is ahead of UTC at noon.
+    /// The offset of local time from UTC at noon, hours.
     pub(super) noon_offset_hours: f64,
     /// The steps of the day.
     pub(super) steps: Range<usize>,
 }
 
 impl HabitDay {
-    /// Whether it is a Saturday or a Sunday.
+    /// Whether the day is a Saturday or a Sunday.
     pub(super) fn is_weekend(&self) -> bool {
         self.weekday > 4
     }
@@ -44,7 +44,7 @@ impl HabitDay {
 /// A step of ten minutes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct HabitStep {
-    /// When it begins, nanoseconds UTC.
+    /// The begin of the step, nanoseconds UTC.
     pub(super) utc_nanos: i64,
     /// The UTC offset, in seconds.
     pub(super) offset_secs: i32,

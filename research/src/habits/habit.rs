@@ -1,7 +1,7 @@
-//! The habits: when a simulated state is 1, how a robot looks at it, and which days are predicted.
+//! The habits: when a simulated state is 1, when a robot reads it, and which days are predicted.
 //!
-//! Invariant: a habit is the probability of 1 at each step of local time. What is drawn for a day depends on the seed,
-//! the habit and the days before.
+//! Invariant: a habit is the probability of 1 at each step of local time. The draws for a day depend on the seed, the
+//! habit and the days before.
 
 use jiff::civil::{Date, date};
 use rand::{Rng as _, rngs::SmallRng};
@@ -19,7 +19,7 @@ pub(super) struct Span {
     pub(super) probability: f64,
 }
 
-/// How a robot looks at the state.
+/// The times at which a robot reads the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookPlan {
     /// Every half-hour, day and night.
@@ -35,15 +35,15 @@ pub(super) enum LookPlan {
 /// A habit of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Habit {
-    /// Its name in results.
+    /// The name of the habit in results.
     pub name: &'static str,
     /// The spans of a day; later ones win.
     pub(super) spans: fn(&HabitDay, &mut SmallRng) -> Vec<Span>,
     /// The probability of 1 at all other times.
     pub(super) base: f64,
-    /// The state keeps its value with a time constant of so many minutes, above 0, while its probability is the same.
+    /// The state keeps its value with a time constant of this many minutes, above 0, while its probability is the same.
     pub(super) keeps_minutes: f64,
-    /// How a robot looks at it.
+    /// The times at which a robot reads the state.
     pub(super) looks: LookPlan,
     /// The first and the last day that are predicted.
     pub(super) test: (Date, Date),

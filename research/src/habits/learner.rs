@@ -1,6 +1,6 @@
-//! A map with one state: it is asked for a day before it learns that day.
+//! A map with one state: a day is predicted before it is learned.
 //!
-//! Invariant: predictions use looks of earlier days only, and are made as a daemon makes them: the value by
+//! Invariant: predictions use readings of earlier days only, and are made as a daemon makes them: the value by
 //! [`MapView::predict_into`], the intervals by [`MapView::intervals`].
 
 use tidemap_map::{
@@ -18,10 +18,10 @@ use crate::nightly_map::NightlyMap;
 /// The only state of the map.
 pub(super) const STATE: StateId = StateId(0);
 
-/// What the map says of a day.
+/// The predictions of the map for a day.
 #[derive(Clone, Debug)]
 pub(super) struct DayAhead {
-    /// The probability of 1 at each time that was asked for.
+    /// The probability of 1 at each requested time.
     pub(super) values: Vec<f64>,
     /// The interval of each hour, for each of [`LEVELS`].
     pub(super) hours: [Vec<HeldInterval>; LEVELS.len()],
@@ -41,7 +41,7 @@ impl HabitLearner {
         Ok(Self(map))
     }
 
-    /// What readers of the map see.
+    /// The view of readers of the map.
     pub(super) fn view(&mut self) -> MapView {
         self.0.view()
     }
@@ -60,7 +60,7 @@ impl HabitLearner {
         DayAhead { values: predict(times).1, hours }
     }
 
-    /// Learns the looks of a day at the midnight that ends it.
+    /// Learns the readings of a day at the midnight that ends it.
     pub(super) fn learn(&mut self, looks: &[Look], midnight_nanos: i64) -> Result<(), HabitsError> {
         if looks.is_empty() {
             return Ok(());

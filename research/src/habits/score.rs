@@ -1,6 +1,6 @@
-//! Scores: how far predictions are from what happened, and whether they are as sure as they may be.
+//! Scores: how far predictions are from the hidden states, and whether their confidence is right.
 //!
-//! Invariant: sums only, so that the scores of several seeds are those of all their days together.
+//! Invariant: sums only, so that the scores of several seeds are the scores of all their days together.
 
 use tidemap_model::HeldInterval;
 
@@ -35,13 +35,13 @@ impl Errors {
         self.squares / self.predictions.max(1) as f64
     }
 
-    /// The mean of -ln p of what happened, in nats, with p between 0.001 and 0.999.
+    /// The mean of -ln p of the hidden state, in nats, with p between 0.001 and 0.999.
     pub fn log_loss(&self) -> f64 {
         self.losses / self.predictions.max(1) as f64
     }
 }
 
-/// What intervals of a level held, and said that they hold.
+/// Intervals of a level: how many held, and the probabilities that they stated.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HourClaims {
     hours: u64,
@@ -71,7 +71,7 @@ impl HourClaims {
         (self.hours > 0).then(|| self.held as f64 / self.hours as f64)
     }
 
-    /// The mean of the probabilities that the intervals said they hold; none without hours.
+    /// The mean of the probabilities that the intervals stated; none without hours.
     pub fn said(&self) -> Option<f64> {
         (self.hours > 0).then(|| self.said / self.hours as f64)
     }
@@ -119,9 +119,9 @@ pub const SURE_WITHIN: [f64; 2] = [0.01, 0.001];
 pub struct Scores {
     /// The errors of `auto`.
     pub auto: Errors,
-    /// Those of the probabilities by the habit, which nobody knows.
+    /// The errors of the probabilities by the habit, which no model knows.
     pub truth: Errors,
-    /// Those of the baselines.
+    /// The errors of the baselines.
     pub baselines: [Errors; BASELINES.len()],
     /// The intervals of uncertain hours, for each level.
     pub held: [HourClaims; LEVELS.len()],
@@ -139,12 +139,12 @@ impl Scores {
         self.sure.iter_mut().zip(&other.sure).for_each(|(own, other)| own.join(other));
     }
 
-    /// The mean squared error of `auto`, by how much more than that of the best baseline; negative where it is less.
+    /// The mean squared error of `auto` relative to the best baseline, as a share above it; negative if it is less.
     pub fn mse_of_best(&self) -> f64 {
         self.auto.mse() / self.best(Errors::mse) - 1.0
     }
 
-    /// The log loss of `auto`, by how much more than that of the best baseline.
+    /// The log loss of `auto` relative to the best baseline, as a share above it.
     pub fn log_loss_of_best(&self) -> f64 {
         self.auto.log_loss() / self.best(Errors::log_loss) - 1.0
     }

@@ -1,4 +1,4 @@
-//! The worlds have the documented habits and looks, the scores are those of hand-made cases, and a map is asked before
+//! The worlds have the documented habits and readings, the scores agree with hand-made cases, and a map predicts before
 //! it learns.
 
 use std::collections::BTreeMap;
@@ -181,11 +181,11 @@ fn baselines_are_the_means_of_what_was_seen() {
         let is_close = found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-9);
         assert!(is_close, "{found:?} instead of {expected:?}");
     };
-    // The mean of all looks is 1/2. A look fades by 2^(-1/21) a day.
+    // The mean of all readings is 1/2. A reading fades by 2^(-1/21) a day.
     let faded = 0.5_f64.powf(1.0 / 21.0);
     close(baselines.predict(&calendar, step_at(7, 9)), [2.0 / 3.0, 0.75, (faded + 0.5) / (faded + 1.0), 0.98, 0.5]);
     close(baselines.predict(&calendar, step_at(2, 10)), [0.5, 0.25, 0.5, 0.5, 0.02]);
-    // A look counts as yesterday's for the steps of half an hour around it.
+    // A reading counts as yesterday's for the steps of half an hour around it.
     close(baselines.predict(&calendar, step_at(2, 10) + 3), [0.5, 0.25, 0.5, 0.5, 0.02]);
     close(baselines.predict(&calendar, step_at(2, 10) + 4), [0.5, 0.25, 0.5, 0.5, 0.5]);
 }
@@ -250,7 +250,7 @@ fn a_new_bar_is_predicted_before_it_is_learned() {
     assert_eq!(names, ["new-bar", "new-noise"], "in the order of all habits");
     for HabitScores { habit, scores } in &outcome.habits {
         let (auto, truth) = (scores.auto.mse(), scores.truth.mse());
-        // Nobody knows what is drawn, and nobody is as bad as who always says the opposite.
+        // No model can know the draws, and none is as bad as one that always predicts the opposite.
         assert!(truth < auto && auto < 0.2, "{}: {auto}, the truth {truth}", habit.name);
         assert!(scores.mse_of_best() < 0.5, "{}: {}", habit.name, scores.mse_of_best());
         let said: Vec<f64> = scores.held.iter().filter_map(HourClaims::said).collect();

@@ -1,8 +1,9 @@
-//! A state with a habit: its hidden values, and what a robot sees of them.
+//! A state with a habit: its hidden values, and the readings of a robot.
 //!
-//! The hidden state is a chain of two values that relaxes to the habit's probability, and jumps where that jumps.
+//! The hidden state is a chain of two values that relaxes to the habit's probability, and jumps where the probability
+//! jumps.
 //!
-//! Invariant: the same habit and seed give the same world; looks are in the order of their times.
+//! Invariant: equal habits and seeds give equal worlds; readings are in the order of their times.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +18,7 @@ use super::{
 
 /// Where the probability changes by at least this much, the state does not keep its value.
 const JUMP: f64 = 0.3;
-/// A half-hourly look comes so many seconds after a step begins.
+/// A half-hourly reading comes this many seconds after a step begins.
 const LOOK_SECS: i64 = 37;
 /// Steps of a half-hour.
 const HALF_HOUR: usize = 3;
@@ -29,7 +30,7 @@ const BURST: i64 = 3_600;
 pub(super) struct Look {
     /// The step in which it was taken.
     pub(super) step: usize,
-    /// What was read, and when.
+    /// The value of the reading, and its time.
     pub(super) sample: Sample,
 }
 
@@ -69,7 +70,7 @@ impl HabitWorld {
         self.calendar.number_of(habit.test.0)
     }
 
-    /// The looks in the steps of a day.
+    /// The readings in the steps of a day.
     pub(super) fn looks_of(&self, day: usize) -> &[Look] {
         let steps = &self.calendar.days[day].steps;
         let before = |step: usize| self.looks.partition_point(|look| look.step < step);
@@ -106,7 +107,7 @@ fn values(truth: &[f64], keeps_minutes: f64, random: &mut SmallRng) -> Vec<bool>
     values
 }
 
-/// The looks: each as a step and seconds since that began.
+/// The places of the readings: each as a step and seconds since the step began.
 fn places(looks: LookPlan, calendar: &Calendar, random: &mut SmallRng) -> Vec<(usize, i64)> {
     let half_hourly = |first: usize, is_seen: &dyn Fn(Date) -> bool| {
         let seen = |&step: &usize| is_seen(calendar.days[calendar.steps[step].day].date);

@@ -29,7 +29,7 @@ const AGAIN_PX: [f64; 2] = [10.0, 15.0];
 pub struct LandmarkRecordingError {
     /// The file.
     path: PathBuf,
-    /// What is wrong, with the line.
+    /// The fault, with the line.
     wrong: String,
 }
 
@@ -38,18 +38,18 @@ pub struct LandmarkRecordingError {
 pub(super) struct RecordedLandmark {
     /// In the frame of the first month.
     pub(super) feature: ImageFeature,
-    /// Of each month whether it was seen; `None`: the month held out.
+    /// For each month, whether the landmark was seen; `None`: the month held out.
     pub(super) seen: Vec<Option<bool>>,
 }
 
 /// A recording of landmarks.
 #[derive(Clone, Debug)]
 pub struct LandmarkRecording {
-    /// Of each place and month, nanoseconds UTC.
+    /// The times of each place and month, nanoseconds UTC.
     times_nanos: Vec<Vec<i64>>,
-    /// Of each place and month.
+    /// The features of the picture of each place and month.
     pictures: Vec<Vec<Vec<ImageFeature>>>,
-    /// Of each place and month: how far to the right things are, against the first month, pixels.
+    /// For each place and month: the shift of things to the right, against the first month, pixels.
     offsets_px: Vec<Vec<f64>>,
     /// By month held out and place.
     landmarks: Vec<Vec<Vec<RecordedLandmark>>>,
@@ -89,7 +89,7 @@ struct LandmarkRow {
     descriptor: String,
 }
 
-/// Reads the rows of a file, which may be compressed, and gives each to `take`, which says what is wrong with it.
+/// Reads the rows of a file, which may be compressed, and gives each to `take`, which returns its fault.
 fn each_row<T: DeserializeOwned>(
     path: &Path,
     mut take: impl FnMut(T) -> Result<(), String>,
@@ -132,7 +132,7 @@ impl LandmarkRecording {
     /// Reads the files of a folder.
     ///
     /// # Errors
-    /// [`LandmarkRecordingError`] with the file, the line and what is wrong.
+    /// [`LandmarkRecordingError`] with the file, the line and the fault.
     pub fn read(folder: &Path) -> Result<LandmarkRecording, LandmarkRecordingError> {
         let mut times: Vec<(usize, usize, i64)> = Vec::new();
         each_row(&folder.join("images.csv"), |row: ImageRow| {
@@ -195,7 +195,7 @@ impl LandmarkRecording {
         self.landmarks.len()
     }
 
-    /// When a picture was taken, nanoseconds UTC.
+    /// The time of a picture, nanoseconds UTC.
     pub(super) fn time_nanos(&self, place: usize, month: usize) -> i64 {
         self.times_nanos[place][month]
     }
@@ -205,7 +205,7 @@ impl LandmarkRecording {
         &self.pictures[place][month]
     }
 
-    /// How far to the right things are in a picture, against the first month, pixels.
+    /// The shift of things to the right in a picture, against the first month, pixels.
     pub(super) fn offset_px(&self, place: usize, month: usize) -> f64 {
         self.offsets_px[place][month]
     }
@@ -215,7 +215,7 @@ impl LandmarkRecording {
         &self.landmarks[month]
     }
 
-    /// Which landmarks of a place are seen in its picture of a month.
+    /// The landmarks of a place that are seen in its picture of a month.
     pub(super) fn seen_again(
         &self,
         landmarks: &[Vec<RecordedLandmark>],

@@ -9,14 +9,14 @@ use super::{COUNTS, visibility::Prediction};
 /// A heading that is further off is wrong, pixels.
 pub(super) const HEADING_WRONG_PX: f64 = 35.0;
 
-/// What was found with some landmarks of each place.
+/// The results with some landmarks of each place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FoundPlaces {
     /// Pictures whose place was found.
     pub found: usize,
-    /// Of the places that were found: how far the heading is off, pixels.
+    /// For the places that were found: the error of the heading, pixels.
     pub heading_errors_px: Vec<f64>,
-    /// Pictures whose place has no heading, or one that is off by more than 35 px.
+    /// Pictures whose place has no heading, or a heading that is off by more than 35 px.
     pub heading_wrong: usize,
     /// Sum over the pictures of the negative logarithm of the probability of the true place, nats.
     pub log_loss: f64,
@@ -63,7 +63,7 @@ impl LocaliseScores {
         }
     }
 
-    /// Scores what was found of a picture with the `at`-th of [`COUNTS`].
+    /// Scores the matches of a picture with the `at`-th of [`COUNTS`].
     pub(super) fn picture(&mut self, at: usize, place: usize, found: &[NodeMatch], offset_px: f64) {
         let Some(scores) = self.places.get_mut(at) else { return };
         let error_px = found[place].heading_px.map(|heading_px| (heading_px - offset_px).abs());

@@ -1,4 +1,4 @@
-//! The recording of Stromovka gives the figures of its README; a small one is read with what is wrong in it.
+//! The recording of Stromovka gives the figures of its README; a small one is read with its faults.
 
 use std::{fs, io::Write as _, path::PathBuf};
 

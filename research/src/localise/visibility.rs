@@ -1,4 +1,4 @@
-//! Which landmarks are visible at a time: by a map, and by baselines.
+//! The visibility of landmarks at a time: by a map, and by baselines.
 //!
 //! Invariant: only the months that were not held out are used.
 
@@ -20,17 +20,17 @@ use crate::nightly_map::NightlyMap;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 const YEAR_NANOS: i64 = 365 * DAY_NANOS + DAY_NANOS / 4;
-/// How quickly the kernel over the season falls off.
+/// The rate at which the kernel over the season falls off.
 const SEASON_SHARPNESS: f64 = 1.5;
 
-/// What is predicted of a landmark.
+/// The prediction for a landmark.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Prediction {
     /// Probability that it is visible, in [0, 1].
     pub(super) probability: f64,
     /// Landmarks are ranked by this, the highest first.
     pub(super) rank: f64,
-    /// How often it was visible, in [0, 1]; ranks those that are equal.
+    /// The share of months in which it was visible, in [0, 1]; ranks landmarks with equal rank.
     pub(super) mean: f64,
 }
 
@@ -49,7 +49,7 @@ fn phase(nanos: i64) -> f64 {
     TAU * (nanos.rem_euclid(YEAR_NANOS) as f64 / YEAR_NANOS as f64)
 }
 
-/// What each landmark of each place is predicted to be at the time of the picture of a month.
+/// The prediction for each landmark of each place at the time of the picture of a month.
 pub(super) fn predict(
     model: VisibilityModel,
     recording: &LandmarkRecording,
@@ -110,7 +110,7 @@ fn season(looks: impl Iterator<Item = (i64, bool)>, at_nanos: i64) -> f64 {
     seen_weights / weights
 }
 
-/// What a map says that has learned the other months, each at the end of its day.
+/// The predictions of a map that has learned the other months, each at the end of its day.
 fn by_map(
     recording: &LandmarkRecording,
     places: &[Vec<RecordedLandmark>],

@@ -1,4 +1,4 @@
-//! Models are compared by how far ahead they predict, and on what they have learned.
+//! Models are compared by lead time, and on the data that they have learned.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,7 +15,7 @@ use crate::{
 
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 
-/// A door that is open for 23 of every 59 quarter hours, whatever the time of day: only the newest reading tells.
+/// A door that is open for 23 of every 59 quarter hours, whatever the time of day: only the newest reading predicts it.
 fn wandering(first_day: i64, days: i64) -> String {
     let mut text = "time,state,value\n".to_owned();
     for time in (first_day * DAY..(first_day + days) * DAY).step_by(STEP as usize) {
@@ -62,7 +62,7 @@ fn the_newest_reading_helps_shortly_after_it_and_not_long_after() {
         let [next, hour, days] = lags.map(|lag| mse(blended, lag) / mse("mean", lag));
         assert!(next < 0.5 && next < hour && hour < 0.95 && days > 0.99, "{blended}: {next} {hour} {days}");
     }
-    // The mean says the same, however long before.
+    // The mean predicts the same value at any lead time.
     assert_eq!(mse("mean", lags[0]), mse("mean", lags[2]));
     // The newest reading alone is wrong at each of the changes: two in 59 readings.
     assert!((mse("latest", lags[0]) - 2.0 / 59.0).abs() < 0.01, "{}", mse("latest", lags[0]));
@@ -70,7 +70,7 @@ fn the_newest_reading_helps_shortly_after_it_and_not_long_after() {
     for model in &outcome.models {
         let loss = model.score.log_loss();
         assert!(loss > 0.0 && loss < -(1e-3_f64).ln(), "{}: {loss}", model.label);
-        // Compared at the same lag, with the mean.
+        // The difference is to the mean at the same lead time.
         let mean = model.difference.map_or(0.0, |difference| difference.mean);
         assert!((model.score.mse() - mse("mean", model.ahead.unwrap()) - mean).abs() < 1e-12);
     }
@@ -100,7 +100,7 @@ fn what_comes_within_the_lag_changes_no_prediction() {
         };
         assert_eq!(usual[0][0][..at + lag], other[0][0][..at + lag], "{ahead}");
     }
-    // It changes the first prediction for which it is known, of models that use it.
+    // The reading changes the first prediction for which it is known, of models that use it.
     let (usual, other) = (predictions(&usual), predictions(&other));
     for index in [1, 2, 3, 4, 5] {
         assert_ne!(usual[index].1[0][0][at + 1], other[index].1[0][0][at + 1], "{index}");
@@ -184,7 +184,7 @@ fn errors_of_what_was_learned_and_of_what_was_not_come_by_order_from_one_run() {
     // More components describe the training data better (T-RO 2017, figure 5).
     let learned: Vec<f64> = errors.iter().map(|[train, ..]| *train).collect();
     assert!(learned[0] > learned[1] && learned[1] > learned[4], "{learned:?}");
-    // The means are of what was not learned.
+    // The means cover the data that was not learned.
     assert!(errors.iter().all(|[_, one, mean]| one == mean), "{errors:?}");
     // Learning and testing alike, the test set is learned before the next set of `retrain: each`, and once.
     let (again, _) = errors_by_order(folder.path(), &format!("{text}retrain: each\n"));

@@ -45,7 +45,7 @@ fn one_day_alone_is_no_evidence() {
     worse[3] = 0.9;
     let test = difference(&days(&[&worse]), &days(&[&baseline]), 0.05).test.unwrap();
     assert!(test.p_value > 0.05, "{test:?}");
-    // Draws without that day say nothing of how much days vary.
+    // Draws without that day contain no information on how much days vary.
     assert_eq!(test.interval, None);
 }
 

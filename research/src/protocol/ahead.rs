@@ -1,6 +1,6 @@
-//! How far ahead predictions are made: the key `ahead`.
+//! The lead times of predictions: the key `ahead`.
 //!
-//! Invariant: a list has each lag once.
+//! Invariant: a list has each lead time once.
 
 use std::fmt;
 
@@ -12,12 +12,12 @@ use super::{
     raw::{Word, Words},
 };
 
-/// Maximum number of lags; each repeats the predictions of all test sets.
+/// Maximum number of lead times; each repeats the predictions of all test sets.
 const LAGS_MAX: usize = 32;
 /// The name of [`Ahead::Next`].
 const NEXT: &str = "next";
 
-/// How far a predicted reading lies ahead of the newest reading that is known.
+/// The lead time of a predicted reading after the newest reading that is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ahead {
     /// The reading before it is known.
@@ -27,7 +27,7 @@ pub enum Ahead {
 }
 
 impl fmt::Display for Ahead {
-    /// As protocols name it.
+    /// Writes the name of the lead time in protocols.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Next => f.write_str(NEXT),
@@ -36,7 +36,7 @@ impl fmt::Display for Ahead {
     }
 }
 
-/// The lags of a protocol, in its order; none if it has no such key.
+/// The lead times of a protocol, in its order; none if it has no such key.
 pub(super) fn read(written: Option<Words>) -> Result<Vec<Ahead>, ProtocolError> {
     const KEY: &str = "ahead";
     const RIGHT: &str = "next (the reading before is known), or a duration such as 1h, or a list of them";

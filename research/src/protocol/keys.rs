@@ -52,7 +52,7 @@ pub(crate) fn required(word: Option<Word>, key: &'static str, right: &str) -> Re
     }
 }
 
-/// The value of a word, or an error that tells which values are allowed.
+/// The value of a word, or an error that lists the allowed values.
 pub(crate) fn parsed<T>(
     word: &Word,
     key: &str,

@@ -1,7 +1,7 @@
 //! The models of a protocol, each with the parameter sets that its lists of values span.
 //!
 //! A name may end in a suffix that draws predictions to the newest reading, as on the command line (`spectral+memory`);
-//! which suffixes there are is the selector's matter ([`ModelSelector`]).
+//! [`ModelSelector`] defines the suffixes.
 //!
 //! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
 //! the lists; the last parameter changes fastest.
@@ -29,20 +29,20 @@ const NAME: &str = "name";
 /// A model of a comparison.
 #[derive(Clone, Debug)]
 pub struct ModelEntry {
-    /// Its name in results: that of its kind, unless the protocol sets another.
+    /// The name of the model in results: the name of its kind, unless the protocol sets another.
     pub label: String,
-    /// Its parameter sets; tuning chooses one.
+    /// The parameter sets of the model; tuning chooses one.
     pub sets: Vec<ComparedSettings>,
 }
 
-/// What the rest of a protocol allows its models.
+/// The settings of models that the rest of a protocol allows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Allowed {
     /// The kind of the values.
     pub values: StateKind,
     /// Whether a section chooses from lists.
     pub tunes: bool,
-    /// What lists are for.
+    /// The purpose of lists.
     pub lists: Lists,
     /// Whether readings are predicted from a newest one.
     pub has_newest: bool,

@@ -13,13 +13,13 @@ use serde_saphyr::Spanned;
 /// A text with its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Word {
-    /// Its line, from 1.
+    /// The number of the line, from 1.
     pub line: u64,
     /// The text; a number as the parser prints it.
     pub text: String,
 }
 
-/// One text or a list of them.
+/// One text or a list of texts.
 #[derive(Clone, Debug)]
 pub(crate) struct Words {
     /// The first line.

@@ -37,7 +37,7 @@ fn refused(text: &str) -> String {
     parsed(text).expect_err(text).to_string()
 }
 
-/// The whole protocol with one line replaced; lines of the message are those of the file.
+/// The whole protocol with one line replaced; lines of the message are lines of the file.
 #[track_caller]
 fn refused_with(line: &str, other: &str) -> String {
     assert!(WHOLE.contains(line), "{line}");

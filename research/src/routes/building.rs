@@ -125,7 +125,7 @@ pub(crate) struct Building {
 /// The result of an attempt to traverse an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Attempt {
-    /// Its duration, including recovery.
+    /// The duration of the traversal, including recovery.
     pub secs: f64,
     /// Why it fails; none: it succeeds.
     pub reason: Option<&'static str>,
@@ -193,7 +193,7 @@ impl Building {
         MISHAP.start + (MISHAP.end - MISHAP.start) * self.draw(DrawSubject::Mishap, link, 0.0)
     }
 
-    /// A number that both directions of an edge share, and the obstacle on them.
+    /// A number that both directions of an edge share, and the obstacle on the edge.
     fn link(&self, edge: &Edge) -> (u64, Option<Obstacle>) {
         let link = u64::from(edge.from.0.min(edge.to.0)) << 32 | u64::from(edge.from.0.max(edge.to.0));
         let name = |id| self.topology.node(id).map_or("", |node| node.name.as_str());

@@ -56,7 +56,7 @@ impl Learner {
         &self.edges
     }
 
-    /// Applies traversals, received when the last of them ended.
+    /// Applies traversals, received when the last traversal ended.
     pub(super) fn report(&mut self, traversals: &[Traversal]) -> Result<(), RoutesError> {
         let Some(last) = traversals.last() else { return Ok(()) };
         let failures = traversals.iter().filter_map(Traversal::failure).collect();

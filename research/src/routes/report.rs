@@ -13,10 +13,10 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each robot.
 ///
-/// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks;
-/// those of the later half divided by those of the shortest paths; slope of the failures over the weeks, its two-sided
-/// p_value over seeds, and the number of seeds with a negative slope; slope and p_value without the first week;
-/// failures and seconds a task in the later half.
+/// Columns: robot; failures a week in the first week, in the last, and on average over the later half of the weeks; the
+/// failures of the later half divided by the failures of the shortest paths; slope of the failures over the weeks, its
+/// two-sided p_value over seeds, and the number of seeds with a negative slope; slope and p_value without the first
+/// week; failures and seconds a task in the later half.
 pub fn summary<W: Write>(outcome: &RouteComparison, format: Format, writer: W) -> io::Result<()> {
     let late = outcome.late();
     let columns = [

@@ -23,21 +23,21 @@ const TRUE_SUCCESS_MIN: f64 = 1e-6;
 /// Number of reports that the truth counts as; only intervals depend on it.
 const TRUE_EVIDENCE: f64 = 1e6;
 
-/// How a robot chooses its path.
+/// The method by which a robot chooses its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RobotKind {
     /// The shortest path, whatever happened there.
     Shortest,
-    /// The route that tidemap plans from what it learned until last midnight.
+    /// The route that tidemap plans from the data that it learned until last midnight.
     Tidemap,
-    /// As [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
+    /// The route of [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
     TidemapPersistence,
-    /// As [`Tidemap`](Self::Tidemap), with the newest reports of each edge as far ahead as they have been right: what
-    /// the server plans by default.
+    /// The route of [`Tidemap`](Self::Tidemap), with the newest reports of each edge up to the lead time at which they
+    /// have been right: the plan of the server by default.
     TidemapBelief,
-    /// As [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
+    /// The route of [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
     TidemapMemory,
-    /// The route with the least expected time, including failures, from what was learned until last midnight.
+    /// The route with the least expected time, including failures, from the data that was learned until last midnight.
     TidemapTime,
     /// The route that tidemap plans from the true probabilities: no robot can do better except by luck.
     Oracle,
@@ -55,7 +55,7 @@ impl RobotKind {
         RobotKind::Oracle,
     ];
 
-    /// Its name in results.
+    /// The name of the robot in results.
     pub fn name(self) -> &'static str {
         match self {
             RobotKind::Shortest => "shortest",
@@ -85,7 +85,7 @@ pub(crate) struct RouteRobot<'a> {
     kind: RobotKind,
     building: &'a Building,
     learner: Learner,
-    /// Where it is.
+    /// The node where the robot is.
     pub(crate) at: NodeId,
     /// Seconds since midnight before the first Monday.
     pub(crate) now_secs: f64,
@@ -144,12 +144,12 @@ impl<'a> RouteRobot<'a> {
         Ok(RouteRobot { kind, building, learner, at, now_secs: 0.0 })
     }
 
-    /// What it has learned of the edges.
+    /// The learned data of the edges.
     pub(crate) fn edges(&self) -> &EdgeForecasts {
         self.learner.edges()
     }
 
-    /// Learns what it traversed until the midnight before a day, counted from 0, if it learns at all.
+    /// Learns the robot's traversals until the midnight before a day, counted from 0, if the robot learns at all.
     pub(crate) fn learn(&mut self, day: usize) -> Result<(), RoutesError> {
         if self.kind.learns() { self.learner.midnight(nanos(day as f64 * DAY_SECS)) } else { Ok(()) }
     }

@@ -23,7 +23,7 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 /// Maximum number of training days: ten years.
 const TRAIN_DAYS_MAX: usize = 3_660;
 
-/// What the tuning of parameters minimises.
+/// The criterion that the tuning of parameters minimises.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TuningCriterion {
     /// The mean time until the person is found.
@@ -51,7 +51,7 @@ pub struct SearchProtocol {
     pub folds: usize,
     /// Length of a fold.
     pub fold_minutes: usize,
-    /// What tuning minimises.
+    /// The criterion that tuning minimises.
     pub criterion: TuningCriterion,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,

@@ -26,7 +26,7 @@ pub(super) struct RecordedWorld {
     pub names: Vec<String>,
     /// Travel times along the edges.
     pub roads: Roads,
-    /// Where the robot starts.
+    /// The start of the robot.
     pub start: NodeId,
     /// Index of the node where the person is, by minute; none: at no node.
     rooms: Vec<Option<usize>>,

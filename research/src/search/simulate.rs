@@ -131,7 +131,7 @@ fn find(
     Ok(FindTimes { secs })
 }
 
-/// When the robot arrives at each node, in seconds after it left its start.
+/// The times at which the robot arrives at each node, in seconds after it left its start.
 fn arrivals(world: &RecordedWorld, predicted: &[f64]) -> Result<Vec<f64>, SearchError> {
     let goal = |(index, &probability): (usize, &f64)| Goal { node: world.roads.node(index), probability };
     let goals: Vec<Goal> = predicted.iter().enumerate().map(goal).collect();

@@ -1,4 +1,4 @@
-//! What is to be done on a day: tasks at random nodes with random windows, and charging in each part of the day.
+//! The demand of a day: tasks at random nodes with random windows, and charging in each part of the day.
 //!
 //! Invariant: the tasks of a day depend on the seed, the day and their number only. Names are unique on a day.
 
@@ -17,7 +17,7 @@ const MINUTE: u32 = 60;
 const HOUR: u32 = 60 * MINUTE;
 /// Windows lie between these times of a day, in seconds: the robot may work then.
 pub(super) const WORKING_SECS: Range<u32> = 5 * HOUR..23 * HOUR;
-/// Where the robot charges.
+/// The node where the robot charges.
 const DOCK: &str = "dock";
 /// The robot charges for this long, once in each part of the day of this length.
 const CHARGE_SECS: u32 = 30 * MINUTE;
@@ -27,9 +27,9 @@ const CHARGE_VALUE: f64 = 20.0;
 /// Length of the other windows, and how long their tasks take, in minutes.
 const WINDOW_MINUTES: Range<u32> = 60..240;
 const DURATION_MINUTES: Range<u32> = 5..25;
-/// What the other tasks are worth.
+/// The values of the other tasks.
 const VALUES: Range<u32> = 1..6;
-/// Key of the draws, apart from those of the building.
+/// Key of the draws, apart from the draws of the building.
 const DEMAND: u64 = u64::MAX - 1;
 
 /// The tasks of a day, counted from 0, at these nodes.

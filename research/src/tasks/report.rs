@@ -13,9 +13,9 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each robot, with means over seeds.
 ///
-/// Columns: robot; failed traversals a week, and all of them divided by those of the first robot; the number of seeds
-/// in which they are at most half of those; failed traversals a task; tasks done and missed a week; mean seconds by
-/// which a task was late; A %, and the longest lifetime of the system in days.
+/// Columns: robot; failed traversals a week, and the failures divided by the failures of the first robot; the number of
+/// seeds in which they are at most half of that robot's failures; failed traversals a task; tasks done and missed a
+/// week; mean seconds by which a task was late; A %, and the longest lifetime of the system in days.
 pub fn summary<W: Write>(outcome: &TaskComparison, format: Format, writer: W) -> io::Result<()> {
     let columns = [
         "robot",

@@ -1,8 +1,8 @@
 //! A robot that does the tasks of its days.
 //!
 //! Robots differ in how they choose the next task and the way to it. A task can be begun until the latest start that
-//! its window allows; a robot that set out for it in time does it even if it arrives later, and what it ends after the
-//! window is its lateness. Other tasks are missed.
+//! its window allows; a robot that set out for a task in time does it even if it arrives later, and the time by which
+//! it ends after the window is its lateness. Other tasks are missed.
 //!
 //! Invariant: all robots with one seed have the same tasks and meet the same world.
 
@@ -34,12 +34,12 @@ use crate::routes::{
 /// Share of the failed traversals after which the robot is stuck, and for how long until somebody has helped.
 const STUCK: f64 = 0.03;
 const HELP_SECS: f64 = 900.0;
-/// Key of the draws, apart from those of the building.
+/// Key of the draws, apart from the draws of the building.
 const STUCK_KEY: u64 = u64::MAX - 2;
 /// A plan is made anew when the robot is later than planned by more than this.
 const BEHIND_SECS: f64 = 60.0;
 
-/// How a robot works.
+/// The method by which a robot works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskRobotKind {
     /// First come, first served, on the shortest ways.
@@ -55,7 +55,7 @@ impl TaskRobotKind {
     pub const ALL: [TaskRobotKind; 3] =
         [TaskRobotKind::FirstCome, TaskRobotKind::FirstComeRouted, TaskRobotKind::Planned];
 
-    /// Its name in results.
+    /// The name of the robot in results.
     pub fn name(self) -> &'static str {
         match self {
             TaskRobotKind::FirstCome => "first-come",
@@ -81,9 +81,9 @@ pub struct TaskFigures {
     pub done: u64,
     /// Tasks that were not done.
     pub missed: u64,
-    /// By how much tasks were ended after their windows, summed, seconds.
+    /// The time by which tasks ended after their windows, summed, seconds.
     pub late_secs: f64,
-    /// How often somebody had to help.
+    /// The number of times that a person had to help.
     pub interventions: u64,
     /// A % of IEEE RAM 2017: the share of the working hours in which tasks were performed, without charging.
     pub autonomy_percent: f64,
@@ -222,7 +222,7 @@ fn first_come(open: &[Occurrence<'_>]) -> Option<(usize, f64)> {
     first.map(|(index, task)| (index, secs(task.from_nanos)))
 }
 
-/// Whether the next step of a plan can be done as planned, or nothing is left of it.
+/// Whether the next step of a plan can be done as planned, or the plan has no further step.
 fn still_holds(steps: &VecDeque<KeptStep>, open: &[Occurrence<'_>], now_secs: f64) -> bool {
     let next = steps.front().map(|step| place_in(open, step));
     next.is_none_or(|next| next.is_some_and(|(_, departure_secs)| now_secs <= departure_secs + BEHIND_SECS))

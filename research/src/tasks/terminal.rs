@@ -3,11 +3,11 @@
 //! The visitors of a simulated house come to eight places by the hour and the day of the week. A robot stands in one
 //! place for each slot of a day and learns, at midnight, in which of its slots somebody came (N. Hawes et al., IEEE RAM
 //! 2017, "Predicting Human–Robot Interaction"; M. Kulich et al., MESAS 2016). It plans the next day by the learned
-//! probabilities and by what a look would teach.
+//! probabilities and by the information gain of an observation.
 //!
 //! - `visitors.rs`: the house; `robot.rs`: the robots; `report.rs`: results.csv, weeks.csv.
 //!
-//! Invariant: with one seed all robots meet the same visitors; plans use earlier days only, except those of the robots
+//! Invariant: with one seed all robots meet the same visitors; plans use earlier days only, except plans of the robots
 //! that are called best or oracle; the same protocol gives the same figures for any number of threads.
 
 use std::{
@@ -63,10 +63,10 @@ impl TerminalError {
     }
 }
 
-/// How often people used a robot, by seed and week, in each hour of its work.
+/// The number of uses of a robot, by seed and week, in each hour of its work.
 #[derive(Clone, Debug)]
 pub struct TerminalCourse {
-    /// How it chooses its places.
+    /// The method by which the terminal chooses its places.
     pub kind: TerminalRobotKind,
     /// The weeks of each seed.
     pub seeds: Vec<Vec<f64>>,
@@ -96,7 +96,8 @@ pub struct TerminalComparison {
 }
 
 impl TerminalComparison {
-    /// Interactions an hour of a robot, divided by those of this kind; and in how many seeds they are more.
+    /// Interactions an hour of a robot, divided by the interactions of this kind; and the number of seeds in which they
+    /// are more.
     fn against(&self, course: &TerminalCourse, kind: TerminalRobotKind) -> (f64, usize) {
         let all = 0..self.weeks;
         let Some(other) = self.courses.iter().find(|course| course.kind == kind) else { return (f64::NAN, 0) };

@@ -1,4 +1,4 @@
-//! Robots have the tasks that their days name, and one that plans fails less often.
+//! Robots have the tasks that their days name, and a robot that plans fails less often.
 
 use tidemap_map::{name::StateName, task::CHARGE_KIND};
 use tidemap_model::Zone;

@@ -12,7 +12,7 @@ use super::{Figures, GridArgs, office};
 use tidemap_formats::table::Cell;
 use tidemap_terminal::progress::{Bar, status_line};
 
-/// The compared orders: the static model, and those of the paper.
+/// The compared orders: the static model, and the orders of the paper.
 const ORDERS: [(u32, &str); 6] = [
     (0, "error_percent_order_0"),
     (1, "error_percent_order_1"),

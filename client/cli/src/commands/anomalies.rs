@@ -76,7 +76,8 @@ fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "a confidence is a number above 0.5 and at most 1, for example 0.99".to_owned())
 }
 
-/// Refuses a confidence that the question does not allow. `is_kept`: it is for what was unusual before it was learned.
+/// Refuses a confidence that the query does not allow. `is_kept`: the query is for observations that were unusual
+/// before they were learned.
 fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
     if is_kept && !(KEPT_CONFIDENCE..=1.0).contains(&confidence) {
         return Err(UsageError(format!(
@@ -92,7 +93,7 @@ fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
 
 pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
     let AnomaliesArgs { map, states, confidence, from, to, date, local, model, top, watch, region, z, location } = args;
-    // Cells keep nothing of what was unusual: the model in force looks at one.
+    // Cells keep no unusual observations: the model in force judges the observations of one cell.
     let is_of_cell = matches!(&states[..], [name] if name.starts_with("cell/"));
     let is_kept = !watch && model.is_none() && !is_of_cell;
     check_confidence(confidence, is_kept)?;
@@ -145,7 +146,7 @@ async fn last_week(session: &Session, map: &str) -> anyhow::Result<(i64, i64)> {
 
 const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
 
-/// What was unusual before it was learned.
+/// Prints the observations that were unusual before they were learned.
 async fn surprises(session: &Session, map: &str, query: SurpriseQuery) -> anyhow::Result<ExitCode> {
     let found = session.client.surprises(map, query).await?;
     let mut table = session.table(&["state", "first", "last", "observations", "value", "probability", "surprise_bits"]);

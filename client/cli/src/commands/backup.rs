@@ -1,6 +1,6 @@
 //! `tidemap backup`.
 //!
-//! Invariant: the folder is one of the daemon's machine, whatever machine this is.
+//! Invariant: the folder is a folder of the daemon's machine, whatever machine this is.
 
 use std::process::ExitCode;
 

@@ -1,6 +1,6 @@
 //! `tidemap classify`.
 //!
-//! Invariant: a row for each label of the state, in their order; what is learned is durable when the command ends.
+//! Invariant: a row for each label of the state, in their order; learned readings are durable when the command ends.
 
 use std::process::ExitCode;
 

@@ -1,8 +1,7 @@
-//! `tidemap cluster`: the members and maps of a cluster, as all of its daemons see them, and what operators do with
-//! them.
+//! `tidemap cluster`: the members and maps of a cluster, as all of its daemons report them, and the operations on them.
 //!
-//! Invariant: the exit status says how the cluster is: 0 all is well, 1 there is a warning, 2 there is an error, such
-//! as that nobody answers. Warnings and errors go to stderr, one line each.
+//! Invariant: the exit status is the health of the cluster: 0 all is well, 1 there is a warning, 2 there is an error,
+//! for example no daemon answers. Warnings and errors go to stderr, one line each.
 
 use std::{
     process::ExitCode,
@@ -28,12 +27,12 @@ mod take_in;
 mod verify;
 mod view;
 
-/// How long a change of the cluster is waited for.
+/// The time limit for a change of the cluster.
 const CHANGE_WITHIN: Duration = Duration::from_secs(60);
 /// Pause between two questions whether it has happened.
 const ASK_EVERY: Duration = Duration::from_millis(200);
 
-/// The cluster cannot be asked, or does not do what was asked: the command ends with status 2.
+/// The cluster cannot be reached, or does not do what was requested: the command ends with status 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct ClusterLost(pub(crate) String);
@@ -129,7 +128,7 @@ pub(crate) struct HealArgs {
     dry_run: bool,
 }
 
-/// Runs a command. Whatever goes wrong ends with status 2.
+/// Runs a command. Any error ends with status 2.
 pub(crate) async fn run(
     session: &Session,
     credentials: &Credentials,
@@ -238,7 +237,7 @@ async fn drain(session: &Session, credentials: &Credentials, args: DrainArgs) ->
         Ok(written().await?.is_empty().then_some(()))
     })
     .await?;
-    // Whoever has taken a map is known when it has.
+    // A member that takes a map appears as its writer after it has taken it.
     let writers = wait_for("not all maps have a writer", async || {
         let view = ClusterView::ask(&session.client, credentials).await?;
         let writers: Vec<Option<String>> = before.iter().map(|map| view.writer(map)).collect();

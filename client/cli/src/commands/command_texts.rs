@@ -1,6 +1,6 @@
-//! `tidemap completions` and `tidemap man-pages`: texts for shells and for `man`, made of the command line itself.
+//! `tidemap completions` and `tidemap man-pages`: texts for shells and for `man`, made from the command line itself.
 //!
-//! Invariant: what they describe is what this program accepts; hidden commands are in neither.
+//! Invariant: both texts describe exactly the arguments that this program accepts; hidden commands are in neither.
 
 use std::{fs, path::PathBuf, process::ExitCode};
 

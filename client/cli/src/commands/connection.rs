@@ -1,4 +1,4 @@
-//! The options that every command has, and what they make: a client, and the form of results.
+//! The options that every command has, and the session that they make: a client, and the form of results.
 //!
 //! Invariant: `tidemap` and `tidemap-bench` have the same.
 
@@ -64,7 +64,7 @@ impl ConnectionArgs {
         self.output.unwrap_or_else(default_format)
     }
 
-    /// What the client proves, and asks of the daemon.
+    /// The client's credentials, and the authority that the daemon's certificate must come from.
     ///
     /// # Errors
     /// A file cannot be read.
@@ -92,7 +92,7 @@ pub struct Session {
     pub client: Client,
     /// Format of the results.
     pub format: Format,
-    /// How tables show times.
+    /// The style of times in tables.
     pub times: TimeStyle,
 }
 
@@ -107,7 +107,7 @@ impl Session {
         Ok(Self { client, format: connection.format(), times: TimeStyle::Clock(Zone::utc()) })
     }
 
-    /// This session, whose tables show times as the options say, and by default in the zone of the command's map.
+    /// This session, with tables that show times as the options state, and by default in the zone of the command's map.
     pub(crate) async fn with_times_of(self, connection: &ConnectionArgs, subject: &Subject) -> Self {
         let times = time_style(&self.client, self.format, connection.time, subject).await;
         Self { times, ..self }
@@ -140,16 +140,16 @@ impl Session {
     }
 }
 
-/// The zone of a map may take so long to ask for; without it, times are UTC.
+/// The time limit for the request of a map's zone; without the zone, times are UTC.
 const ZONE_WITHIN: Duration = Duration::from_secs(2);
 
-/// How the tables of a command show times.
+/// The style of times in the tables of a command.
 async fn time_style(client: &Client, format: Format, time: TimeArg, subject: &Subject) -> TimeStyle {
     match (time, &subject.map) {
         (TimeArg::Unix, _) => TimeStyle::Unix,
         (TimeArg::Ns, _) => TimeStyle::Nanos,
         (TimeArg::Local, Some(map)) if format == Format::Table || subject.is_drawn => {
-            // What is wrong with the map or the daemon is for the command to say.
+            // The command itself reports problems with the map or the daemon.
             let map = tokio::time::timeout(ZONE_WITHIN, client.map(map)).await;
             let zone = map.ok().and_then(Result::ok).and_then(|map| Zone::named(&map.time_zone).ok());
             TimeStyle::Clock(zone.unwrap_or_else(Zone::utc))

@@ -206,7 +206,7 @@ fn task_within(tasks: &PlannedTasks, start_nanos: i64, end_nanos: i64) -> Cell {
     Some(names.collect::<Vec<_>>().join(" ")).filter(|names| !names.is_empty()).map_or(Cell::Empty, Cell::Text)
 }
 
-/// Says on stderr what is not planned, and why.
+/// Prints on stderr which tasks are not planned, and why.
 fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
     for UnservedTask { name, from_nanos, until_nanos, reason } in &tasks.unserved {
         let why = match reason {
@@ -222,7 +222,7 @@ fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
     }
 }
 
-/// The information of each slot; those that are explored are marked.
+/// The information of each slot; explored slots are marked.
 fn plot(session: &Session, title: &str, slots: &[DaySlot]) -> CurvePlot {
     CurvePlot {
         title: title.to_owned(),
@@ -236,7 +236,7 @@ fn plot(session: &Session, title: &str, slots: &[DaySlot]) -> CurvePlot {
     }
 }
 
-/// The drawing for a terminal, with the list of what is explored.
+/// The drawing for a terminal, with the list of the explored locations.
 fn text(session: &Session, title: &str, slots: &[DaySlot]) -> String {
     let mut text = plot(session, title, slots).text();
     for slot in slots {

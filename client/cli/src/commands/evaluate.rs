@@ -104,7 +104,7 @@ fn unknown_label(row: &ObservationRow, labels: &HashMap<String, Vec<String>>) ->
 
 pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
-    // How a state holds its values, the daemon knows.
+    // The daemon knows how a state holds its values.
     let mut rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
     let known = names::states(session, &args.map).await?.into_iter().filter(|state| !state.labels.is_empty());
     let labels: HashMap<String, Vec<String>> = known.map(|state| (state.name, state.labels)).collect();

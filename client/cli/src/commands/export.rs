@@ -1,7 +1,7 @@
 //! `tidemap export`: maps of any time as files that other programs read.
 //!
-//! Invariant: the ending of PATH says what is written. A file appears under its name when it is complete; a file that
-//! was there before stays if the export fails.
+//! Invariant: the ending of PATH decides what is written. A file appears under its name when it is complete; a file
+//! that was there before stays if the export fails.
 
 mod args;
 pub(crate) mod frames;
@@ -16,7 +16,7 @@ use tidemap_formats::table::Cell;
 
 pub(crate) use args::ExportArgs;
 
-/// What the ending of a path asks for.
+/// The kind of export that the ending of a path selects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ExportKind {
     /// Maps over time, as MCAP.
@@ -27,7 +27,7 @@ enum ExportKind {
     Graph,
 }
 
-/// What was written: a path, what is in it, and how many of that.
+/// A written file: its path, the kind of its content, and the number of items.
 struct Written {
     path: String,
     content: &'static str,

@@ -16,7 +16,7 @@ use tempfile::NamedTempFile;
 use super::UsageError;
 use crate::output;
 
-/// What a new file may be used for, before the user's own mask is applied.
+/// The permissions of a new file, before the user's own mask is applied.
 const MODE: u32 = 0o666;
 
 /// Reads a text file, or stdin if the path is `-`.
@@ -47,7 +47,7 @@ pub(crate) struct Replacement {
 }
 
 impl Replacement {
-    /// Begins a file, beside the one that it will be.
+    /// Begins a temporary file beside the final one.
     pub(crate) fn begin(path: &Path) -> anyhow::Result<Self> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut builder = tempfile::Builder::new();

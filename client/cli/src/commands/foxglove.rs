@@ -1,8 +1,7 @@
 //! `tidemap foxglove`: a server for the program Foxglove, whose time bar then reaches from the first observation of a
 //! map into the future.
 //!
-//! Invariant: it answers reads only. Other machines reach it only if the command says
-//! `--allow-insecure-remote`.
+//! Invariant: it answers reads only. Other machines reach it only with `--allow-insecure-remote`.
 
 #[cfg(any(feature = "foxglove", test))]
 mod playback;
@@ -29,9 +28,9 @@ use crate::progress::status_line;
 
 /// Maximum number of states, each of which is a channel.
 const STATES_MAX: usize = 1_000;
-/// A map without observations of states begins so long before its last update.
+/// A map without observations of states begins this long before its last update.
 const UNKNOWN_PAST_NANOS: i64 = 28 * 86_400_000_000_000;
-/// How many states are asked for their first observation.
+/// The number of states whose first observation is requested.
 const ASKED_STATES: usize = 100;
 /// Confidence of the intervals of states.
 const INTERVAL: f64 = 0.9;
@@ -70,7 +69,7 @@ pub(crate) struct FoxgloveArgs {
     region: Option<Rectangle>,
 }
 
-/// What is served.
+/// The data that is served.
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "foxglove"), expect(dead_code, reason = "the server is left out of this build"))]
 struct Served {
@@ -169,7 +168,7 @@ async fn only_map(session: &Session) -> anyhow::Result<String> {
     }
 }
 
-/// When a map's states were first observed, by the first of them; `None`: there are no such observations.
+/// The first observation time of a map's states, over the first states; `None`: there are no such observations.
 async fn first_observation(session: &Session, map: &str, states: &[String]) -> anyhow::Result<Option<i64>> {
     let mut first: Option<i64> = None;
     for state in states.iter().take(ASKED_STATES) {

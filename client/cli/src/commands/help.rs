@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use clap::Command;
 
-/// The commands by what people want to do.
+/// The commands, grouped by the purpose of users.
 const GROUPS: [(&str, &[&str]); 8] = [
     ("Try it", &["demo", "sample", "open"]),
     ("Make maps", &["map", "state", "location"]),

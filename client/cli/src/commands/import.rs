@@ -1,8 +1,8 @@
 //! `tidemap import`: recordings of robots become observations of a map.
 //!
-//! Invariant: the number of an observation among those of the recordings is its sequence number, so the same command
-//! can run any number of times, and what the daemon has is compared and not sent again. Nothing is sent before all
-//! files were read once and the plan stands.
+//! Invariant: the number of an observation among the observations of the recordings is its sequence number, so the same
+//! command can run any number of times, and the observations that the daemon has are compared and not sent again.
+//! Nothing is sent before all files were read once and the plan is complete.
 
 mod counts;
 mod feed;
@@ -106,12 +106,12 @@ impl From<ClockArg> for Clock {
     }
 }
 
-/// What was found in the recordings, and what is made of it.
+/// The contents of the recordings, and the plan for them.
 struct Planned {
     recording: Recording,
     surveyed: Arc<Surveyed>,
     plan: Arc<Plan>,
-    /// Whether the times are those of the recorder.
+    /// Whether the times come from the clock of the recorder.
     by_recorder: bool,
 }
 
@@ -161,7 +161,7 @@ async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
 }
 
 async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::Result<ExitCode> {
-    // The name of a folder such as `.` is that of the folder itself.
+    // A folder such as `.` is named by its own name.
     let named = |file: &PathBuf| base_name(&file.canonicalize().unwrap_or_else(|_| file.clone()));
     let label = format!("import/{}", args.files.first().map(named).unwrap_or_default());
     let options = args.sender.options(&args.map, &label)?;

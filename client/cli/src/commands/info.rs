@@ -1,7 +1,7 @@
 //! `tidemap info`.
 //!
-//! Invariant: one row per target and time, by target and then by time; areas of the grid by time and then by what they
-//! teach.
+//! Invariant: one row per target and time, by target and then by time; areas of the grid by time and then by their
+//! information gain.
 
 mod areas;
 

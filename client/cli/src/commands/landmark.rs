@@ -190,7 +190,7 @@ pub(crate) async fn run(session: &Session, command: LandmarkCommand) -> anyhow::
 /// All rows of a file.
 ///
 /// # Errors
-/// The file, the line and what is wrong, of the first row that cannot be read.
+/// The file, the line and the fault of the first row that cannot be read.
 fn rows<L, Content>(path: &Path) -> anyhow::Result<Vec<Content>>
 where
     L: Layout<Item = CheckedRow<Content>>,
@@ -255,7 +255,7 @@ async fn list_places(session: &Session, map: &str) -> anyhow::Result<ExitCode> {
     session.print(&["place", "landmarks"], places.into_iter().map(row))
 }
 
-/// What a landmark is and where: kind, u, v, number and position along the edge.
+/// The appearance and place of a landmark: kind, u, v, number and position along the edge.
 fn looks(landmark: &Landmark) -> [Cell; 5] {
     let feature = landmark.kind.feature();
     let (kind, number) = match &landmark.kind {

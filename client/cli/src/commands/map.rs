@@ -219,7 +219,7 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         [cells(map), more].concat()
     };
     if let ([map], false) = (maps.as_slice(), all) {
-        // People see one thing more; the columns of programs stay.
+        // Tables for people have one more column; the columns of programs stay.
         let clock = (session.format == Format::Table).then_some(if map.has_real_clock { "real" } else { "any" });
         let columns = columns.into_iter().chain(clock.map(|_| "clock")).collect::<Vec<_>>();
         let cells = row(map.clone()).into_iter().chain(clock.map(Cell::from)).collect();

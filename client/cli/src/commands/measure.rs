@@ -1,6 +1,6 @@
-//! The measure of what a look is worth, as an option.
+//! The measure of the worth of an observation, as an option.
 //!
-//! Invariant: the names are those of [`InformationMeasure`].
+//! Invariant: the names are the names of [`InformationMeasure`].
 
 use clap::ValueEnum;
 use tidemap_client::exploration::InformationMeasure;

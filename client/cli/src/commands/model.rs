@@ -65,7 +65,7 @@ pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Re
 /// The labels of a categorical state; none for others.
 async fn labels_of(session: &Session, map: &str, state: &str) -> anyhow::Result<Vec<String>> {
     let mut token = Some(String::new());
-    // What has a slash is no categorical state.
+    // A name with a slash is not a categorical state.
     while let Some(page) = token.filter(|_| !state.contains('/')) {
         let (states, next) = session.client.states(map, &page).await?;
         if let Some(found) = states.into_iter().find(|known| known.name == state) {
@@ -94,7 +94,8 @@ async fn of_labels(session: &Session, map: &str, state: &str, labels: &[String])
     session.print(&["state", "mean", "n", "order", "model", "auto"], rows)
 }
 
-/// The models of a state, and the name of that with which `auto` answers: the selected one, or the ensemble of several.
+/// The models of a state, and the name of the model with which `auto` answers: the selected one, or the ensemble of
+/// several.
 struct ShownModel {
     model: ModelDescription,
     answers: String,
@@ -237,8 +238,8 @@ fn table(shown: &ShownModel) -> io::Result<()> {
 }
 
 /// One table for programs, a row per component. The columns of the state are repeated in each row; a state without
-/// components has one row. The selected model, the recent errors of all models, and
-/// what `auto` answers with are the last columns.
+/// components has one row. The selected model, the recent errors of all models, and the model with which `auto` answers
+/// are the last columns.
 fn csv(shown: &ShownModel) -> io::Result<()> {
     let (model, summary) = (&shown.model, summary(shown));
     let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors", "auto"];

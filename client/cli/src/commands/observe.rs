@@ -1,4 +1,4 @@
-//! `tidemap observe`, and what all commands that send files share.
+//! `tidemap observe`, and the common parts of all commands that send files.
 //!
 //! Invariant: a row's number in its file is its sequence number. A file can be sent any number of times, in any number
 //! of pieces, and is learned once. The rows that the daemon has are compared with the file before anything is sent.
@@ -119,7 +119,7 @@ impl SenderArgs {
 
 /// The daemon may hold the key of a stream that has just ended for this long.
 const KEY_PATIENCE: Duration = Duration::from_secs(3);
-/// How long the last flush may take after Ctrl-C.
+/// The time limit for the last flush after Ctrl-C.
 const LAST_FLUSH: Duration = Duration::from_secs(5);
 /// Pause between two checks for nightly updates.
 const NIGHT_PAUSE: Duration = Duration::from_millis(50);
@@ -178,7 +178,7 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     send(session, options, feed, FileSent { shown: &shown, command: "observe", words, refused }).await
 }
 
-/// The options that say how the file is read and what its rows are, each with a blank before it.
+/// The options that state how the file is read and what its rows are, each with a blank before it.
 fn words(args: &ObserveArgs) -> FileWords {
     let (mut words, mut kinds) = (args.reports.words() + &args.written.words(), String::new());
     if let Some(kind) = args.kind {
@@ -193,7 +193,7 @@ fn words(args: &ObserveArgs) -> FileWords {
     FileWords { words, kinds }
 }
 
-/// Erases what the options' producer has sent with their label.
+/// Erases the observations that the producer of the options has sent with their label.
 async fn withdraw(session: &Session, options: &ProducerOptions) -> anyhow::Result<()> {
     let ProducerOptions { producer, label, map, .. } = options;
     let known = session.client.producers(map).await?;
@@ -215,13 +215,13 @@ async fn withdraw(session: &Session, options: &ProducerOptions) -> anyhow::Resul
 
 /// A file that a command sends.
 pub(super) struct FileSent<'a> {
-    /// Its name for messages.
+    /// The name of the file for messages.
     pub(super) shown: &'a str,
     /// Name of the command.
     pub(super) command: &'static str,
-    /// The options that say how it is read and what its rows are, each with a blank before it.
+    /// The options that state how the file is read and what its rows are, each with a blank before it.
     pub(super) words: FileWords,
-    /// Where its refused rows go.
+    /// The file for refused rows.
     pub(super) refused: Option<RefusedRows>,
 }
 
@@ -269,7 +269,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     exit_code(end, &transfer.report, &options, shown, &steps.differs(&another))
 }
 
-/// Says what to do about rows that were refused, or that were sent before and are gone.
+/// Prints advice about rows that were refused, or that were sent before and are gone.
 async fn tell_next<T: Sendable>(
     session: &Session,
     transfer: &RowTransfer<T>,
@@ -278,7 +278,7 @@ async fn tell_next<T: Sendable>(
     options: &ProducerOptions,
 ) -> anyhow::Result<()> {
     if let Some(refused) = transfer.report.kept() {
-        // A file that differs was not sent, and what is wrong with it says nothing about what was.
+        // A file that differs was not sent, and its faults give no information about the data that was sent.
         let advice = if is_sent { refused.write(steps.again())? } else { None };
         advice.iter().for_each(|advice| status_line(advice));
     } else if counts.refused > 0 {
@@ -340,7 +340,8 @@ pub(super) async fn run_transfer(
     Ok(end)
 }
 
-/// Tells what of a map waits because it is ahead of the daemon's clock. A daemon that is gone has other messages.
+/// Reports the observations of a map that wait because they are later than the daemon's clock. A daemon that is gone
+/// causes other messages.
 async fn tell_ahead(session: &Session, map: &str) {
     let Ok(known) = session.client.map(map).await else { return };
     let scans = known.grid_summary.map_or(0, |summary| summary.ahead_scans);
@@ -378,7 +379,8 @@ pub(super) fn exit_code(
     }
 }
 
-/// A label that the options' producer has not used, for another file that has theirs by default.
+/// A label that the producer of the options has not used, for another file that would have the label of the options by
+/// default.
 pub(super) async fn free_label(session: &Session, options: &ProducerOptions) -> String {
     // Without the list, the next one is a good guess.
     let known = session.client.producers(&options.map).await.unwrap_or_default();

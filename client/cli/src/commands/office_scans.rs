@@ -63,7 +63,7 @@ pub struct WireScans<'a> {
 }
 
 impl<'a> WireScans<'a> {
-    /// None is converted yet.
+    /// Begins before the first scan.
     #[must_use]
     pub fn new(office: &'a GridOffice) -> Self {
         Self { office, shown: Vec::new(), view: None }

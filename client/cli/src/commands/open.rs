@@ -78,7 +78,7 @@ fn served(server: &str, page: &PagePort) -> Result<String, UsageError> {
     Ok(format!("{}://{host}:{port}", if *has_tls { "https" } else { "http" }))
 }
 
-/// What the daemon says, or the port that it has by default where the token may not ask.
+/// The port that the daemon reports, or the default port if the token may not query it.
 async fn page_of(client: &Client, map: &str) -> anyhow::Result<PagePort> {
     match client.page_port(map).await {
         Ok(Some(page)) => Ok(page),
@@ -106,7 +106,7 @@ fn address(page: &str, map: Option<&str>, at: Option<i64>) -> String {
     shown.map_or_else(|| format!("{page}/maps/{map}"), |time| format!("{page}/maps/{map}?at={time}"))
 }
 
-/// The program that opens addresses here: `$BROWSER`, or that of the desktop.
+/// The program that opens addresses here: `$BROWSER`, or the opener of the desktop.
 fn opener() -> OsString {
     let desktop = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     env::var_os("BROWSER").filter(|program| !program.is_empty()).unwrap_or_else(|| desktop.into())

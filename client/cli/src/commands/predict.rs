@@ -72,7 +72,7 @@ const COLUMNS: [&str; 12] = [
     "mass",
 ];
 
-/// What a table shows only where it is asked for, and less of it where a model or an order is.
+/// Columns that a table shows only if they are requested, and fewer of them if a model or an order is given.
 const DETAILS: &[&str] = &["entropy_bits", "order", "model", "mass"];
 const DETAILS_BESIDE_MODEL: &[&str] = &["entropy_bits", "mass"];
 
@@ -120,7 +120,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             wide.add(&run, &name, times);
         }
         if let Some(table) = &mut table {
-            // People see how many observations wait, where there are such.
+            // Tables for people show how many observations wait, if any do.
             let shows_pending = session.format != Format::Table || args.full || run.pending > 0;
             for cells in rows(&run, &name, &times[run.first_time..], shows_pending) {
                 table.row(cells)?;

@@ -1,6 +1,6 @@
 //! `tidemap producer`.
 //!
-//! Invariant: a row per producer and label. What a forgotten producer has sent stays.
+//! Invariant: a row per producer and label. The observations of a forgotten producer stay.
 
 use std::process::ExitCode;
 

@@ -45,7 +45,7 @@ pub(crate) async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Re
     let mut table = session.table(&["time", "value"]);
     while let Some(seen) = observations.next().await? {
         for (time, value) in seen {
-            // A sensor that reports changes or events may know no value from then on.
+            // A sensor that reports changes or events may have no known value from then on.
             table.row(vec![Cell::Time(time), Cell::maybe((!value.is_nan()).then_some(value))])?;
         }
     }

@@ -1,6 +1,6 @@
-//! What the rows of a file are, and how they are written: the options of commands that read observations.
+//! The kind of the rows of a file, and their form: the options of commands that read observations.
 //!
-//! Invariant: what the options say is checked before anything is sent.
+//! Invariant: the options are checked before anything is sent.
 
 use clap::Args;
 use tidemap_client::maps::{RowKind, StatedReporting};
@@ -80,7 +80,7 @@ impl FileArgs {
 }
 
 impl RowKindArgs {
-    /// What rows are.
+    /// The kind of the rows.
     pub(crate) fn kind(&self) -> RowKind {
         match (self.changes, self.events) {
             (true, _) => RowKind::Changes,
@@ -104,19 +104,19 @@ impl ReportArgs {
         kind + &secs("--hold-max", self.hold_max) + &secs("--hold-step", self.hold_step)
     }
 
-    /// What rows are.
+    /// The kind of the rows.
     pub(crate) fn kind(&self) -> RowKind {
         self.rows.kind()
     }
 
-    /// What is said of the states; `None`: nothing.
+    /// The reporting that the options state for the states; `None`: nothing is stated.
     pub(crate) fn stated(&self) -> anyhow::Result<Option<StatedReporting>> {
         stated(self.kind(), self.hold_max, self.hold_step)
     }
 }
 
-/// What is said of a state, from durations in nanoseconds; `None`: that it reports samples, which is what it does if
-/// nothing is said.
+/// The stated reporting of a state, from durations in nanoseconds; `None`: the state reports samples, which is the
+/// default.
 pub(crate) fn stated(
     kind: RowKind,
     hold_max: Option<i64>,

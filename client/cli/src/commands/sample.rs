@@ -128,7 +128,7 @@ impl Sample {
     }
 }
 
-/// Rows of what a robot of the simulated office observes in some days, and their number.
+/// The observations of a robot of the simulated office in some days as rows, and their number.
 fn observed(office: &Office, robot: usize, days: i64, keep: impl Fn(&str) -> bool) -> (String, u64) {
     let (mut text, mut rows) = ("time,state,value\n".to_owned(), 0);
     for (time, state, value) in office.visits(robot, START_SECS * SEC, (START_SECS + days * DAY_SECS) * SEC) {

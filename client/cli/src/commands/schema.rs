@@ -1,7 +1,7 @@
-//! `tidemap schema`: the JSON schema of what commands print with --output json.
+//! `tidemap schema`: the JSON schema of the output of commands with --output json.
 //!
 //! Invariant: `schema/output.json` has a definition for each command, by its words; `tests/integration/json_output.rs`
-//! validates what the commands print against it.
+//! validates the output of the commands against it.
 
 use std::{collections::BTreeMap, process::ExitCode};
 

@@ -54,7 +54,7 @@ pub(crate) enum StateCommand {
     },
 }
 
-/// How a state is reported, on the command line.
+/// The reporting of a state, on the command line.
 fn row_kind(text: &str) -> Result<RowKind, String> {
     let kind = RowKind::ALL.into_iter().find(|kind| kind.name() == text);
     kind.ok_or_else(|| format!("{text:?} is not a way to report: use samples, changes or events"))
@@ -146,7 +146,8 @@ fn cells(state: State) -> Vec<Cell> {
     ]
 }
 
-/// The sensor of a state, if anything is said of it; the other number is that of a sensor that is always right.
+/// The sensor of a state, if an option states a part of it; the other number is the value of a sensor that is always
+/// right.
 fn sensor(shape: StateShape, hit: Option<f64>, false_alarm: Option<f64>) -> anyhow::Result<Option<StateSensor>> {
     if hit.is_none() && false_alarm.is_none() {
         return Ok(None);

@@ -55,7 +55,8 @@ fn is_clock(text: &str) -> bool {
 }
 
 impl When {
-    /// The time; a civil one in this zone, the first of two, which is told. `None`: civil times are refused.
+    /// The time; a civil time is read in this zone. If it exists twice, the first is taken, and this is reported.
+    /// `None`: civil times are refused.
     pub(crate) fn resolve(&self, zone: Option<&Zone>) -> Result<i64, UsageError> {
         let text = match self {
             Self::At(nanos) => return Ok(*nanos),
@@ -95,7 +96,7 @@ impl When {
     }
 }
 
-/// The time of the clocks of a zone, the first of two, which is told.
+/// The time of the clocks of a zone. If it exists twice, the first is taken, and this is reported.
 fn civil_time(text: &str, zone: &Zone) -> Result<i64, UsageError> {
     match zone.local_instant(text) {
         Some(LocalInstant::Once(nanos)) => Ok(nanos),
@@ -137,18 +138,18 @@ fn named_day(text: &str, zone: &Zone) -> Result<LocalDay, UsageError> {
     })
 }
 
-/// A local day by its name: its first instant, and that of the next.
+/// A local day by its name: its first instant, and the first instant of the next day.
 pub(crate) fn day(text: &str, zone: &Zone) -> Result<(i64, i64), UsageError> {
     Ok(ends(named_day(text, zone)?, zone))
 }
 
-/// The first instant of a day, and that of the next.
+/// The first instant of a day, and of the next day.
 fn ends(day: LocalDay, zone: &Zone) -> (i64, i64) {
     (zone.midnight_nanos(day), zone.midnight_nanos(LocalDay(day.0.saturating_add(1))))
 }
 
 /// The times of a local day in steps of its clocks, from midnight on: with 6h always 00:00, 06:00, 12:00 and 18:00. An
-/// hour that comes twice is there twice if the step is not longer than what the clocks are put back.
+/// hour that comes twice is there twice if the step is not longer than the time by which the clocks are put back.
 fn local_steps(day: LocalDay, zone: &Zone, step: i64) -> Result<Vec<i64>, UsageError> {
     let (from, to) = ends(day, zone);
     let offsets = [from, to.saturating_sub(1)].map(|nanos| i64::from(zone.offset_secs(nanos)) * SEC_NANOS);

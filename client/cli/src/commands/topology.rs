@@ -227,7 +227,7 @@ fn edge_of(text: &str) -> Result<EdgeName, String> {
     EdgeName::parse(text).map_err(|_| format!("{text:?} is not an edge: use FROM/TO or FROM/TO/ACTION"))
 }
 
-/// Reads a file; tells what of it is not used.
+/// Reads a file; reports which parts of it are not used.
 fn read(path: &Path) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
     let text = files::read_text(path)?;
     let shown = || path.display().to_string();

@@ -18,7 +18,7 @@ use tidemap_formats::topology_svg::{self, PictureEdge, PictureNode, TopologyPict
 pub(crate) struct Overlay {
     /// Edges of the route.
     pub(crate) way: Vec<EdgeName>,
-    /// Whether an edge of the route stands for all edges between its nodes, whatever their actions.
+    /// Whether an edge of the route represents all edges between its nodes, whatever their actions.
     pub(crate) any_action: bool,
     /// Nodes to number, in their order.
     pub(crate) numbered: Vec<String>,
@@ -37,7 +37,7 @@ pub(crate) async fn draw(
     let topology = session.client.topology(map).await?;
     let edges = session.client.predict_edges(map, time_nanos, model, speed_m_per_s).await?;
     let query = PresenceQuery { map: map.to_owned(), object: object.to_owned(), times_nanos: vec![time_nanos], model };
-    // Nobody was ever looked for: nodes are grey.
+    // No one ever searched for a person: nodes are grey.
     let presence = match session.client.predict_presence(query).await {
         Ok(presence) => presence,
         Err(error) if error.code() == Some(Code::FailedPrecondition) => PresenceForecast::default(),

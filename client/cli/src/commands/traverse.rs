@@ -66,7 +66,7 @@ impl TraverseArgs {
         self.sender.options(&self.map, &default_label)
     }
 
-    /// The report from the options. The command line requires all of them.
+    /// The report from the options. The command line requires all these options.
     fn report(&self) -> TraversalReport {
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
         TraversalReport {

@@ -1,6 +1,6 @@
 //! `tidemap update`.
 //!
-//! Invariant: the report is that of the job that this command started.
+//! Invariant: the report is of the job that this command started.
 
 use std::process::ExitCode;
 
@@ -23,7 +23,7 @@ pub(crate) struct UpdateArgs {
 
 const COLUMNS: [&str; 8] = ["state", "order_before", "order", "mse_before", "mse", "observations", "scored", "model"];
 
-/// What the columns mean, for people.
+/// The meanings of the columns, for people.
 const EXPLANATION: [&str; 3] = [
     "model: what predicts the state from now on; order: the number of rhythms of its spectral model",
     "scored: learned observations that the model of their day had predicted; mse: the mean squared error of this model on",

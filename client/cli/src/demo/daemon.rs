@@ -131,7 +131,7 @@ impl Daemon {
                 thread::sleep(Duration::from_millis(10));
             }
         }
-        // It does not stop; its folder is removed anyway.
+        // The daemon does not stop; its folder is removed anyway.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

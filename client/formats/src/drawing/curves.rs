@@ -21,7 +21,7 @@ const PANEL_HEIGHT: f64 = 130.0;
 /// Values over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    /// What it is.
+    /// The quantity that the curve shows.
     pub name: String,
     /// A value for each time; none: a gap.
     pub values: Vec<Option<f64>>,
@@ -76,7 +76,7 @@ impl CurvePlot {
         (0..columns).map(|column| edge(column)..edge(column + 1).max(edge(column) + 1)).collect()
     }
 
-    /// As text: bars up to the values, and light shade up to the end of the band.
+    /// The drawing as text: bars up to the values, and light shade up to the end of the band.
     #[must_use]
     pub fn text(&self) -> String {
         let columns = self.columns();
@@ -128,7 +128,7 @@ impl CurvePlot {
         text
     }
 
-    /// As SVG.
+    /// The drawing as SVG.
     #[must_use]
     pub fn svg(&self) -> String {
         let panels = self.curves.len() as f64;

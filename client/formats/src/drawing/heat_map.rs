@@ -1,6 +1,6 @@
 //! Heat maps: values in rows and columns, the first row at the top.
 //!
-//! Invariant: a cell without a value is blank as text and grey as SVG, which no value is.
+//! Invariant: a cell without a value is blank as text and grey as SVG, a colour that no value has.
 
 use std::{f64::consts::TAU, fmt::Write as _};
 
@@ -46,7 +46,7 @@ pub struct HeatMap {
     pub values: Vec<Vec<Option<f64>>>,
     /// The values of the lightest and the strongest shade.
     pub range: [f64; 2],
-    /// What the values are.
+    /// The unit of the values.
     pub unit: String,
     /// Directions in some cells, row by row, in radians, counter-clockwise from the right; may be empty.
     pub arrows: Vec<Vec<Option<f64>>>,
@@ -106,7 +106,8 @@ impl HeatMap {
         self.values.iter().map(Vec::len).max().unwrap_or(0)
     }
 
-    /// As text: a character is about twice as high as wide, so a cell has two characters, or two rows share a line.
+    /// The drawing as text: a character is about twice as high as wide, so a cell has two characters, or two rows share
+    /// a line.
     #[must_use]
     pub fn text(&self) -> String {
         let mut text = format!("{}\n", self.title);
@@ -147,7 +148,7 @@ impl HeatMap {
         text
     }
 
-    /// As SVG.
+    /// The drawing as SVG.
     #[must_use]
     pub fn svg(&self) -> String {
         let margin = self.rows.iter().map(|label| text_width(label, FONT_SIZE)).fold(0.0, f64::max) + 20.0;

@@ -1,6 +1,6 @@
 //! Maps as messages of ROS 2.
 //!
-//! Invariant: the fields are those of the definition that the recording holds, in its order.
+//! Invariant: the fields are the fields of the definition that the recording holds, in the order of the definition.
 
 use super::{MapRecordingError, messages::percents};
 use crate::{

@@ -9,7 +9,7 @@ use super::MapRecordingError;
 use crate::{MapPicture, PictureError};
 
 const SEC_NANOS: i64 = 1_000_000_000;
-/// The type of signed bytes among those of the fields of `foxglove.Grid`.
+/// The number of the type of signed bytes in the fields of `foxglove.Grid`.
 const INT8: u8 = 2;
 
 /// The schema of [`grid`].
@@ -78,15 +78,16 @@ pub const ANOMALIES_SCHEMA: &str = r#"{
 pub struct AnomalyEntry {
     /// Name of the state.
     pub state: String,
-    /// Time of the first of them, nanoseconds UTC.
+    /// Time of the first observation, nanoseconds UTC.
     pub first_nanos: i64,
-    /// Time of the last of them, nanoseconds UTC.
+    /// Time of the last observation, nanoseconds UTC.
     pub last_nanos: i64,
     /// The value of the most surprising one.
     pub value: f64,
-    /// What was predicted of it: the probability of the value 1, or of a value at least as far from the prediction.
+    /// The prediction for this value: the probability of the value 1, or of a value at least as far from the
+    /// prediction.
     pub probability: f64,
-    /// The surprise of all of them, in bits.
+    /// The surprise of all observations, in bits.
     pub bits: f64,
 }
 
@@ -159,7 +160,7 @@ pub fn state(time_nanos: i64, state: StateValue) -> Result<Vec<u8>, MapRecording
     Ok(serde_json::to_vec(&json!({ "timestamp": time(time_nanos), "value": value, "low": low, "high": high }))?)
 }
 
-/// What was unusual at a time as a `tidemap.Anomalies`; possibly nothing.
+/// The unusual observations at a time as a `tidemap.Anomalies`; possibly none.
 ///
 /// # Errors
 /// [`MapRecordingError::Json`].

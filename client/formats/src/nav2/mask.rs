@@ -61,8 +61,8 @@ fn mask(picture: &MapPicture, cells: Vec<PictureCell>) -> MapPicture {
     }
 }
 
-/// Marks the cells that an area covers: those that its sides pass through, and in each row of cells what lies between
-/// its sides.
+/// Marks the cells that an area covers: the cells that its sides pass through, and in each row the cells between its
+/// sides.
 fn forbid(picture: &MapPicture, corners: &[[f64; 2]], forbidden: &mut [bool]) {
     let [width, height, _] = picture.size_cells.map(|size| size as usize);
     let in_cells =
@@ -98,7 +98,7 @@ fn rows_between(low: f64, high: f64, height: usize) -> std::ops::Range<usize> {
     first.min(height)..(high.ceil().max(0.0) as usize).min(height)
 }
 
-/// Where a side runs within a row, from left to right; `None` if it does not pass the row.
+/// The part of a row through which a side runs, from left to right; `None` if the side does not pass the row.
 fn side_in_row(from: [f64; 2], to: [f64; 2], bottom: f64, top: f64) -> Option<(f64, f64)> {
     let (low, high) = if from[1] <= to[1] { (from, to) } else { (to, from) };
     if high[1] < bottom || low[1] >= top {

@@ -11,7 +11,7 @@ use saphyr_parser::{Event, Parser};
 
 use super::{super::error::shown, FilePlace, FormatError};
 
-/// Maximum length of a YAML file; those of grids have a few hundred bytes.
+/// Maximum length of a YAML file; files of grids have a few hundred bytes.
 const YAML_BYTES_MAX: usize = 64 * 1024;
 
 /// The settings of a grid.
@@ -31,7 +31,7 @@ pub struct GridSettings {
     pub negate: bool,
     /// The meaning of the pixels.
     pub mode: GridMode,
-    /// Whether a pixel of value 205 is unknown in mode trinary, whatever the thresholds; no file says so.
+    /// Whether a pixel of value 205 is unknown in mode trinary, whatever the thresholds; no file states this.
     pub is_205_unknown: bool,
 }
 
@@ -47,7 +47,7 @@ pub enum GridMode {
 }
 
 impl GridMode {
-    /// Its name in files.
+    /// The name of the mode in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Trinary => "trinary",

@@ -1,6 +1,6 @@
 //! Grids of map savers and other writers, and damaged grids.
 //!
-//! Invariant: the meaning of pixels is that of the map servers' documentation, not taken from the code.
+//! Invariant: the meaning of pixels is taken from the map servers' documentation, not from the code.
 
 use proptest::prelude::*;
 

@@ -63,7 +63,8 @@ pub fn write(
     let [width, height, _] = picture.size_cells;
     let mut image = format!("P5\n{width} {height}\n255\n").into_bytes();
     image.extend(picture.rows_from_top().flatten().map(pixel));
-    // These make pixels 0, 205 and 254 occupied, unknown and free; a scale goes from white to black; raw uses none.
+    // These thresholds make pixels 0, 205 and 254 occupied, unknown and free; a scale goes from white to black; raw
+    // uses none.
     let (occupied_thresh, free_thresh) = if mode == GridMode::Scale { ("1.0", "0.0") } else { ("0.65", "0.196") };
     let [x, y, _] = picture.origin_m.map(decimal);
     let yaml = format!(

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 /// The fields of a line. Blanks around a field are ignored, except within quotes.
 ///
 /// # Errors
-/// What is wrong with its quotes.
+/// The fault of the quotes.
 pub fn split(line: &str) -> Result<Vec<Cow<'_, str>>, &'static str> {
     let mut fields = Vec::with_capacity(4);
     let mut rest = line;

@@ -3,7 +3,7 @@
 //! Landmarks: `place,name` and, for image features, `u_px,v_px,descriptor` with the descriptor in hexadecimal digits,
 //! and at edges `along_m`; for markers, `number,x,y,z,qx,qy,qz,qw`. Features: `u_px,v_px,descriptor`.
 //!
-//! Invariant: a row is read completely, or says what is wrong with it.
+//! Invariant: a row is read completely, or its error is stated.
 
 use std::str::FromStr;
 
@@ -18,12 +18,12 @@ use super::{CsvHeader, Layout, RowError, RowPlace, RowRules, fields, shown};
 /// A quaternion may be off by this much of a unit.
 const UNIT_WITHIN: f64 = 1e-3;
 
-/// A row of a file: what it says, or what is wrong.
+/// A row of a file: its content, or its fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckedRow<Content> {
-    /// Its place in the file.
+    /// The place of the row in the file.
     pub at: RowPlace,
-    /// The content, or what is wrong.
+    /// The content, or the fault of the row.
     pub content: Result<Content, String>,
 }
 

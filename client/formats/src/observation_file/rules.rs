@@ -1,7 +1,7 @@
-//! How the rows of a file are read: its own columns, its own words, and times without a zone.
+//! The rules for reading the rows of a file: its own columns, its own words, and times without a zone.
 //!
-//! Invariant: without rules a file is read as its header says, with UTC times; words that everybody uses are known.
-//! A time that is read in a zone is the one that the order of rows allows.
+//! Invariant: without rules a file is read by its header, with UTC times; common words are known. A time in a zone is
+//! the instant that the order of rows allows.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ use tidemap_model::{
 use super::shown;
 use crate::pattern::matches;
 
-/// What a word says.
+/// The meaning of a word.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Meaning {
     /// A value.
@@ -23,19 +23,19 @@ pub enum Meaning {
     NoValue,
 }
 
-/// How the rows of a file are read.
+/// The rules for reading the rows of a file.
 #[derive(Clone, Debug, Default)]
 pub struct RowRules {
     /// Names of the columns in the file, in lower case: of time, state and value. `None`: the usual name.
     pub columns: [Option<String>; 3],
-    /// Words of the file, in lower case, beside those that everybody uses.
+    /// Words of the file, in lower case, beside the common words.
     pub words: HashMap<String, Meaning>,
     /// The zone of times that have none; `None`: such times are refused.
     pub zone: Option<Zone>,
     /// Patterns of the names of states ([`crate::pattern::matches`]), each with whether their values are labels of a
     /// categorical state. The first that fits decides; values of other states are no labels.
     pub labelled: Vec<(Vec<char>, bool)>,
-    /// What rows are. A change may have no value; an event without one is one event.
+    /// The kind of the rows. A change may have no value; an event without a value is one event.
     pub kind: RowKind,
 }
 
@@ -47,7 +47,7 @@ pub enum InvalidRule {
     Form {
         /// The part.
         part: String,
-        /// What it should be.
+        /// The form that it should have.
         form: &'static str,
     },
     /// A column that no row needs.
@@ -56,12 +56,12 @@ pub enum InvalidRule {
     /// A word or a column twice.
     #[error("{0:?} is named twice")]
     Twice(String),
-    /// What a word should stand for is no number.
+    /// The value of a word is not a number.
     #[error("{word:?} stands for {value:?}: use a number, or none where the sensor knows no value")]
     Value {
         /// The word.
         word: String,
-        /// What it should stand for.
+        /// The text that should be its value.
         value: String,
     },
 }
@@ -79,7 +79,7 @@ impl RowRules {
     /// Columns as in `time=last_changed,state=entity_id,value=state`.
     ///
     /// # Errors
-    /// What is no rule.
+    /// The part of the text that is not a rule.
     pub fn parse_columns(text: &str) -> Result<[Option<String>; 3], InvalidRule> {
         let mut columns = [None, None, None];
         for part in text.split(',') {
@@ -101,7 +101,7 @@ impl RowRules {
     /// Words as in `on=1,off=0,half=0.5,jammed=none`.
     ///
     /// # Errors
-    /// What is no rule.
+    /// The part of the text that is not a rule.
     pub fn parse_words(text: &str) -> Result<HashMap<String, Meaning>, InvalidRule> {
         let mut words = HashMap::new();
         for part in text.split(',') {
@@ -122,7 +122,7 @@ impl RowRules {
         Ok(words)
     }
 
-    /// What a text that is no number says; `None`: nobody knows.
+    /// The meaning of a text that is not a number; `None`: the text is unknown.
     pub(super) fn meaning(&self, text: &str) -> Option<Meaning> {
         let word = text.to_lowercase();
         if let Some(meaning) = self.words.get(&word) {
@@ -142,7 +142,7 @@ impl RowRules {
     }
 }
 
-/// What is wrong with a time, and how it would be right, where it is written as some programs write dates.
+/// The fault of a time, and the right form, if the time is written in the form of some programs.
 fn invalid_time(text: &str, error: &InvalidTime) -> String {
     match (error, other_format(text)) {
         (InvalidTime::Malformed(_), Some(how)) => format!("time {:?} {how}", shown(text)),
@@ -185,7 +185,7 @@ fn other_format(text: &str) -> Option<&'static str> {
     }
 }
 
-/// The times of a file, with those of each state so far: they tell which of two equal local times is meant.
+/// The times of a file, and the times of each state so far: they decide which of two equal local times is meant.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FileTimes {
     newest: HashMap<String, i64>,

@@ -14,13 +14,13 @@ const SEPARATOR: char = ';';
 /// A row of sightings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SightingRow {
-    /// Its place in the file.
+    /// The place of the row in the file.
     pub at: RowPlace,
     /// The node, or the edge as `A/B[/ACTION]`.
     pub place: String,
     /// Part of the edge, metres from its beginning.
     pub part_m: [Option<f64>; 2],
-    /// When the robot looked, nanoseconds UTC.
+    /// The time of the sighting, nanoseconds UTC.
     pub time_nanos: i64,
     /// Names of the landmarks that it saw.
     pub seen: Vec<String>,

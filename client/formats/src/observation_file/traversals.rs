@@ -11,7 +11,7 @@ use super::{CsvHeader, Layout, RowError, RowPlace, RowRules, fields, shown};
 /// A row of traversals.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TraversalRow {
-    /// Its place in the file.
+    /// The place of the row in the file.
     pub at: RowPlace,
     /// Name of the edge's start node.
     pub from: String,
@@ -19,11 +19,11 @@ pub struct TraversalRow {
     pub to: String,
     /// The action of the traversal; empty: the default action.
     pub action: String,
-    /// When the traversal started, nanoseconds UTC.
+    /// The start of the traversal, nanoseconds UTC.
     pub start_nanos: i64,
-    /// When it succeeded or failed, nanoseconds UTC.
+    /// The time of success or failure, nanoseconds UTC.
     pub end_nanos: i64,
-    /// Whether it succeeded.
+    /// Whether the traversal succeeded.
     pub success: bool,
     /// Why it failed.
     pub reason: String,

@@ -65,7 +65,7 @@ fn binary(node: &Node) -> Vec<u8> {
     file(BINARY_START, "OcTree", count(node), &data)
 }
 
-/// The leaves, by another algorithm than that of the reader: by halving a cube with signed corners.
+/// The leaves, by another algorithm than the reader's: by halving a cube with signed corners.
 fn leaves(node: &Node, min: [i32; 3], side: i32, out: &mut Vec<([i32; 3], i32, f32)>) {
     match node {
         Node::Leaf(log_odds) => out.push((min, side, *log_odds)),

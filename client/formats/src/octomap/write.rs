@@ -17,7 +17,7 @@ const OCCUPIED_FROM: f32 = 0.5;
 /// The part of a cell by which the map may be moved.
 const OFF_MAX: f64 = 0.01;
 
-/// What two bits say of a child.
+/// The meanings of the two bits of a child.
 const UNKNOWN: u16 = 0;
 const FREE: u16 = 1;
 const OCCUPIED: u16 = 2;
@@ -31,7 +31,7 @@ pub fn write(picture: &MapPicture) -> Result<Vec<u8>, PictureError> {
     picture.check()?;
     let mut writer = TreeWriter { picture, lowest: lowest_key(picture)?, nodes: 1, data: Vec::new() };
     let kind = writer.node([0; 3], 0);
-    // The root has no parent that could say what it is: a tree without known cells has no nodes. Whole trees of one
+    // The root has no parent that could state its kind: a tree without known cells has no nodes. Whole trees of one
     // value have more cells than a picture.
     let nodes = if kind == UNKNOWN { 0 } else { writer.nodes };
     let resolution_m = picture.resolution_m;
@@ -63,13 +63,13 @@ fn lowest_key(picture: &MapPicture) -> Result<[i64; 3], PictureError> {
 struct TreeWriter<'a> {
     picture: &'a MapPicture,
     lowest: [i64; 3],
-    /// Nodes written, with those of leaves.
+    /// Number of nodes written, including leaves.
     nodes: u64,
     data: Vec<u8>,
 }
 
 impl TreeWriter<'_> {
-    /// Writes what is below a node, and gives what its parent says of it. Nothing is written of a node without
+    /// Writes the descendants of a node, and returns the two bits for its parent. Nothing is written of a node without
     /// children.
     fn node(&mut self, corner: [u32; 3], depth: u32) -> u16 {
         if !self.overlaps(corner, 1 << (DEPTH - depth)) {
@@ -104,7 +104,7 @@ impl TreeWriter<'_> {
 
     fn cell(&self, key: [u32; 3]) -> u16 {
         let [width, height, _] = self.picture.size_cells.map(|size| size as usize);
-        // Not negative: the cell is in the picture.
+        // The index is not negative: the cell is in the picture.
         let [x, y, z] = [0, 1, 2].map(|axis| (i64::from(key[axis]) - self.lowest[axis]) as usize);
         match self.picture.cells.get(x + width * (y + height * z)).copied().and_then(PictureCell::probability) {
             None => UNKNOWN,

@@ -56,7 +56,7 @@ struct Field<'a> {
 pub(super) struct PointLayout {
     /// Length of a point in the file, in bytes.
     pub bytes: usize,
-    /// Its number of values.
+    /// The number of values of the field.
     pub values: usize,
     /// The types of x, y and z.
     pub scalar: [Scalar; 3],
@@ -221,7 +221,7 @@ fn points(width: Line<'_>, height: Line<'_>, points: Option<Line<'_>>) -> Result
     Ok(product)
 }
 
-/// The sensor's pose; none for the default pose, which writers use if they know none.
+/// The sensor's pose; none for the default pose, which writers use if they have no pose.
 fn pose(line: Line<'_>) -> Result<Option<Isometry3<f64>>, FormatError> {
     const RIGHT: &str = "seven finite numbers: tx ty tz qw qx qy qz";
     let mut numbers = [0.0_f64; 7];

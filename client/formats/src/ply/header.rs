@@ -1,6 +1,6 @@
 //! The header of a PLY file.
 //!
-//! Invariant: the header has one element `vertex` with one x, y and z each, none of them a list, and a number of
+//! Invariant: the header has one element `vertex` with one x, y and z each, which are no lists, and a number of
 //! vertices within the limit; a non-empty element has at least one property, so that it takes space in the file.
 
 use crate::{
@@ -44,7 +44,7 @@ pub(super) struct Element<'a> {
 pub(super) struct Property<'a> {
     /// Name of the property, as in the header.
     pub name: &'a str,
-    /// One number, or a list of them.
+    /// The kind: one number, or a list of numbers.
     pub kind: PropertyKind,
 }
 

@@ -1,6 +1,6 @@
 //! Numbers and durations as people read them.
 //!
-//! Invariant: a number has three decimals or three digits, but never so few that it looks like 0 or 1 and is not. A
+//! Invariant: a number has three decimals or three digits, but never so few that it appears as 0 or 1 and is not. A
 //! number that needs more than six decimals has an exponent near 0, and an inequality near 1.
 
 /// Numbers of less than this have an exponent.
@@ -30,7 +30,7 @@ pub fn number(number: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// Decimals that show so many digits of a number below 1.
+/// The number of decimals that show this many digits of a number below 1.
 fn places(size: f64, digits: i32) -> i32 {
     digits - 1 - size.log10().floor() as i32
 }
@@ -41,7 +41,7 @@ fn trimmed_exponent(number: f64) -> String {
     format!("{rounded:e}")
 }
 
-/// A duration of so many seconds: `7 d`, `24 h`, `45 min`, `-3 d`. Up to 36 hours it is in hours.
+/// A duration of this many seconds: `7 d`, `24 h`, `45 min`, `-3 d`. Up to 36 hours it is in hours.
 #[must_use]
 pub fn period(secs: f64) -> String {
     let size = secs.abs();

@@ -1,7 +1,7 @@
 //! Times in tables, as people read them.
 //!
-//! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
-//! which zone they are. A time that the clocks show twice has its offset from UTC.
+//! Invariant: a column shows as much of the clock as its times need, with one precision for all times, and its header
+//! names their zone. A time that the clocks show twice has its offset from UTC.
 
 use tidemap_model::{
     Zone,
@@ -16,7 +16,7 @@ const LONGEST_CHANGE: i64 = 3 * 3_600 * SEC;
 /// 1 January 1970 was a Thursday.
 const WEEKDAYS: [&str; 7] = ["Thu", "Fri", "Sat", "Sun", "Mon", "Tue", "Wed"];
 
-/// How an aligned table shows times.
+/// The style of times in an aligned table.
 #[derive(Clone, Debug, Default)]
 pub enum TimeStyle {
     /// Unix seconds.
@@ -28,7 +28,7 @@ pub enum TimeStyle {
     Clock(Zone),
 }
 
-/// How much of the clock is shown.
+/// The part of the clock that is shown.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Precision {
     Minutes,
@@ -64,7 +64,7 @@ fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
 fn comes_twice(zone: &Zone, nanos: i64) -> bool {
     let offset = |nanos: i64| i64::from(zone.offset_secs(nanos.max(0))) * SEC;
     let here = offset(nanos);
-    // No zone puts its clocks back by more than three hours, but for a few that changed the date.
+    // No zone puts its clocks back by more than three hours, except for a few that changed the date.
     [nanos.saturating_sub(LONGEST_CHANGE), nanos.saturating_add(LONGEST_CHANGE)].into_iter().any(|near| {
         let other = offset(near);
         // The instant that shows the same clock with the other offset.
@@ -94,7 +94,7 @@ impl TimeStyle {
         }
     }
 
-    /// A day and a time, as a heading says them.
+    /// A day and a time, in the form of a heading.
     #[must_use]
     pub fn heading(&self, nanos: i64) -> String {
         match self {

@@ -55,7 +55,7 @@ pub(super) fn places(nodes: &[PictureNode], edges: &[PictureEdge]) -> Result<Vec
 }
 
 /// Lengths of the shortest paths between all nodes in either direction, divided by the mean length of an edge.
-/// Unconnected nodes get 1.2 times the largest of them.
+/// Unconnected nodes get 1.2 times the largest length.
 fn distances(count: usize, edges: &[PictureEdge]) -> Vec<f64> {
     let has_length = |edge: &&PictureEdge| edge.length > 0.0 && edge.length.is_finite();
     let lengths: Vec<f64> = edges.iter().filter(has_length).map(|edge| edge.length).collect();

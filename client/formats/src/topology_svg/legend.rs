@@ -1,4 +1,4 @@
-//! What the colours and numbers of a drawing mean, and its scale.
+//! The legend of a drawing: the meanings of its colours and numbers, and its scale.
 //!
 //! Invariant: the legend stands below the drawing and explains only what is drawn.
 
@@ -13,7 +13,7 @@ pub(super) const HEIGHT: f64 = 96.0;
 pub(super) const WIDTH: f64 = 600.0;
 const LEFT: f64 = 12.0;
 const LINE: f64 = 18.0;
-/// Where the texts begin, behind the colours.
+/// The x coordinate at which the texts begin, behind the colours.
 const TEXT: f64 = 128.0;
 /// Maximum length of the scale bar, pixels.
 const BAR_MAX: f64 = 200.0;

@@ -2,7 +2,8 @@
 
 ``connect()`` gives a client of a daemon, ``serve()`` starts one, ``tidemap.aio.connect()`` gives a client for asyncio,
 and ``tidemap.models`` has the temporal models in process. Times are ``datetime64``, ``datetime``, ISO 8601 texts,
-integers of nanoseconds or floats of seconds since 1970 UTC; those without a zone need a word: see ``tidemap.times``.
+integers of nanoseconds or floats of seconds since 1970 UTC; times without a zone need a zone from the user: see
+``tidemap.times``.
 """
 
 from tidemap import aio

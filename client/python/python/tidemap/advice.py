@@ -1,4 +1,4 @@
-"""What rows look like: warnings about rows that are probably not what they were sent as.
+"""Checks of the content of rows: warnings about rows that are probably of another kind than they were sent as.
 
 Invariant: a warning changes nothing.
 """
@@ -16,11 +16,11 @@ from tidemap import frames, reports
 from tidemap.answers import ObservationWarning
 
 ROWS_AT_ONCE = 20
-"""As many rows of a state at one time look like rounded times."""
+"""From this number of rows of a state at one time on, the times are probably rounded."""
 ROWS_LEAST = 20
-"""With fewer rows a state looks like nothing."""
+"""With fewer rows there is no warning about a state."""
 CHANGES_LEAST = 0.95
-"""Share of rows that differ from the row before from which they look like changes."""
+"""Share of rows that differ from the row before from which on they are probably changes."""
 
 # The caller of the client's method.
 _LEVEL = 3
@@ -42,7 +42,7 @@ def _named(rows: frames.Rows, numbers: npt.NDArray[Any]) -> tuple[str, str]:
 
 
 def of_one_time(rows: frames.Rows, nanos: npt.NDArray[np.int64]) -> None:
-    """Warns of states all of whose rows have one time."""
+    """Warns of states whose rows all have one time."""
     if len(nanos) < ROWS_AT_ONCE:
         return
     together, numbers, begins = _by_state(rows, nanos)
@@ -58,7 +58,7 @@ def of_one_time(rows: frames.Rows, nanos: npt.NDArray[np.int64]) -> None:
 
 
 def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) -> None:
-    """Warns of rows that were sent as readings, and alternate as those of a sensor do that reports changes only."""
+    """Warns of rows that were sent as readings, but alternate like the rows of a sensor that reports changes only."""
     if rows.positions is not None or len(rows.values) < ROWS_LEAST:
         return
     together, numbers, begins = _by_state(rows, rows.values)
@@ -83,7 +83,7 @@ def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) ->
 
 
 def of_refused_before(rows: frames.Rows, states: list[dict[str, Any]]) -> None:
-    """Warns of rows that were sent before and of which the map has nothing: they were refused then, or erased since."""
+    """Warns of rows that were sent before but are not in the map: they were refused then, or erased since."""
     known = {state["name"] for state in states}
     absent = [name for name in rows.names if name not in known and "/" not in name]
     if absent:

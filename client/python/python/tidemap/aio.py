@@ -1,11 +1,11 @@
-"""The same client for asyncio: every call of :class:`tidemap.Client`, with ``await``.
+"""The client for asyncio: every call of :class:`tidemap.Client`, with ``await``.
 
     async with await tidemap.aio.connect("127.0.0.1:7435") as client:
         await client.observe("home", frame)
         async for reply in client.watch_anomalies("home"): ...
 
-Invariant: a call waits in a thread of its own, and the loop runs meanwhile. A call whose ``await`` is cancelled
-goes on in its thread; what it sends counts once all the same.
+Invariant: a call waits in a thread of its own, and the loop runs meanwhile. A call whose ``await`` is cancelled goes on
+in its thread; the rows that it sends still count once.
 """
 
 from __future__ import annotations
@@ -53,14 +53,15 @@ class AsyncStream(AsyncIterator[dict[str, Any]]):
         return reply
 
     def close(self) -> None:
-        """Wants no further reply."""
+        """Ends the stream: no further reply is wanted."""
         if self._stream is not None:
             self._stream.close()
             self._client._streams.discard(self._stream)
 
 
 class AsyncProducer:
-    """Observations as they come; use it with ``async with``. What it has taken is durable after ``flush()``."""
+    """Sends observations as they come; use it with ``async with``. Observations that it has taken are durable after
+    ``flush()``."""
 
     def __init__(self, client: AsyncClient, begin: Callable[[], Producer]) -> None:
         self._client = client
@@ -97,7 +98,8 @@ class AsyncProducer:
 
 
 class AsyncClient:
-    """A client of a daemon, for asyncio. ``client`` is the same one without. It is pickled as ``client`` is."""
+    """A client of a daemon, for asyncio. ``client`` is the client without asyncio. It is pickled in the same way as
+    ``client``."""
 
     def __init__(self, client: Client) -> None:
         self.client = client
@@ -194,7 +196,7 @@ class AsyncClient:
         return AsyncStream(self, lambda: self.client.stream(method, request, zone=zone))
 
     def producer(self, map: str, producer: str = "python", label: str = "live", **options: Any) -> AsyncProducer:
-        """A producer that stays open, for ``async with``; arguments as of :meth:`tidemap.Client.producer`."""
+        """A producer that stays open, for ``async with``; arguments as in :meth:`tidemap.Client.producer`."""
         return AsyncProducer(self, lambda: self.client.producer(map, producer, label, **options))
 
     def watch_anomalies(self, map: str, **request: Any) -> AsyncStream:
@@ -203,7 +205,7 @@ class AsyncClient:
 
 
 async def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> AsyncClient:
-    """A client of the daemon at ``server``, checked; arguments as of :func:`tidemap.connect`."""
+    """A client of the daemon at ``server``, checked; arguments as in :func:`tidemap.connect`."""
     client = AsyncClient(Client(server, **credentials))
     client._is_own = True
     await client.maps()

@@ -1,4 +1,4 @@
-"""What the daemon answers, as values of Python.
+"""The replies of the daemon, as values of Python.
 
 Invariant: an answer holds the numbers of the wire, and never changes.
 """
@@ -29,7 +29,7 @@ class ObservationWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Observed:
-    """What became of the rows of a call."""
+    """The counts of the rows of a call."""
 
     read: int
     """All rows; of a wide frame, all values."""
@@ -42,8 +42,9 @@ class Observed:
     refusals: list[tuple[int, str]] = field(default_factory=list)
     """Row, counted from 0, and why it was refused; the first hundred."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """Rows in which nothing was measured: how many of each marker, such as ``unavailable``. Of samples they are not
-    sent. Of changes and events they are, as "no value is known from then on", but for empty cells of a wide frame."""
+    """Rows in which nothing was measured: the number of each marker, such as ``unavailable``. Such rows of samples are
+    not sent. Such rows of changes and events are sent as "no value is known from then on", except for empty cells of a
+    wide frame."""
     mapped: int = 0
     """Rows whose value was a word."""
 
@@ -92,19 +93,19 @@ class Predictions:
     entropy: Floats
     """Entropy in bits."""
     lower: Floats | None = None
-    """Lower end of the interval, if one was asked for."""
+    """Lower end of the interval, if one was requested."""
     upper: Floats | None = None
     """Upper end of the interval."""
     time_zone: str = "UTC"
     """The zone of the map."""
     models: list[str | None] = field(default_factory=list)
-    """What answered for each state; ``None``: nothing was learned, and the prior answered."""
+    """The model that answered for each state; ``None``: nothing was learned, and the prior answered."""
     orders: list[int] = field(default_factory=list)
     """Number of rhythms of that model."""
     observations: list[int] = field(default_factory=list)
     """Acknowledged observations of each state."""
     pending: list[int] = field(default_factory=list)
-    """Those of them that no update has learned."""
+    """Observations of each state that no update has learned."""
     last_times: npt.NDArray[np.datetime64] | None = None
     """Time of the newest observation of each state, UTC; NaT: there is none."""
 
@@ -224,7 +225,7 @@ class Grid:
 
     @property
     def z_m(self) -> Floats:
-        """Middles of the layers, metres; of a projected grid, that of its lowest layer."""
+        """Middles of the layers, metres; of a projected grid, the middle of its lowest layer."""
         return self._centres_m(2, self.values.shape[0])
 
     def plot(self, ax: Any = None) -> Any:
@@ -240,7 +241,7 @@ def observed(
     report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
     without_value: dict[str, int] | None = None, mapped: int = 0, may_replace: bool = False,
 ) -> Observed:
-    """What became of rows, with their numbers in the frame ``source``; warns of those that were refused."""
+    """The counts of rows, with their numbers in the frame ``source``; warns of refused rows."""
     known = () if source is None else source
     told = [(int(known[row]) if row < len(known) else row, why) for row, why in report["refusals"]]
     found = Observed(

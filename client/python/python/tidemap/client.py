@@ -1,7 +1,7 @@
 """A client of a daemon.
 
-Invariant: what a call sends is durable when it returns, and the same rows sent again add nothing. Errors have the
-daemon's words.
+Invariant: the rows that a call sends are durable when it returns, and the same rows sent again add nothing. Errors have
+the daemon's words.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from tidemap.times import Time
 class Client(Questions, Routes, Landmarks, Tasks):
     """A client of a daemon. Methods return when the daemon has answered; other threads of Python run meanwhile.
 
-    Wherever a call takes times, ``zone`` says what those without a zone are in: ``"local"`` for the zone of the map, or
-    the name of another one. Without it they are refused, unless the map is in UTC.
+    Wherever a call takes times, ``zone`` is the zone of times that have none: ``"local"`` for the zone of the map, or
+    the name of another one. Without ``zone`` such times are refused, unless the map is in UTC.
     """
 
     # Maps
@@ -82,10 +82,10 @@ class Client(Questions, Routes, Landmarks, Tasks):
         """Adds a state before its first observation; the same again changes nothing.
 
         ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) ``angle``, or
-        ``categorical`` (with 2 to 64 ``labels``); by default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
-        :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the
-        probability that it reads 1 when the state is 1, and when it is 0. Without them the daemon estimates how often
-        the sensor errs.
+        ``categorical`` (with 2 to 64 ``labels``); by default ``probability``, and for events ``count``. ``reports``,
+        ``hold_max`` and ``hold_step`` as in :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the
+        sensor of a state that is 0 or 1: the probability that it reads 1 when the state is 1, and when it is 0. Without
+        them the daemon estimates how often the sensor errs.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         if kind is None:
@@ -131,27 +131,27 @@ class Client(Questions, Routes, Landmarks, Tasks):
         observation, with ``time``, ``state`` and ``value`` (or ``x``, ``y``, ``z`` in metres); a wide one has a row for
         each time and a column for each state. The time may be the index. ``columns={"time": "last_changed"}`` gives the
         frame's own names. With a frame, ``times="local"`` is the same as ``zone="local"``, and ``values={"ajar": 1}``
-        says what words mean, besides ``on/off``, ``open/closed``, ``home/away`` and other usual ones. Rows without a
-        measurement (NaN, ``unavailable``, ``unknown``) are counted and not sent.
+        gives the meanings of words, besides ``on/off``, ``open/closed``, ``home/away`` and other usual ones. Rows
+        without a measurement (NaN, ``unavailable``, ``unknown``) are counted and not sent.
 
-        With ``kind="categorical"`` values are labels of states that were added with them (:meth:`add_state`).
+        With ``kind="categorical"`` values are labels; the states were added with these labels (:meth:`add_state`).
 
-        Or give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are values with two or
-        three columns.
+        Instead of a frame, give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are
+        values with two or three columns.
 
-        ``reports`` says what a row is. ``"samples"``: a reading, as of a robot that looks. ``"changes"``: the value
-        from then on, as of a door contact or a smart home; a row without a value says that none is known from then on,
-        and an empty cell of a wide frame is no row. ``"events"``: one event, or a number of them, as of a light
-        barrier; values may be left out. ``hold_max`` is the longest time for which a row of changes or events says
-        something (a week), ``hold_step`` the time between two readings that are learned of them (five minutes, and an
-        hour for events): texts such as ``"7d"``, or a timedelta. New states keep what is said of them; rows of states
-        that are reported otherwise are refused before anything is sent. Without ``reports`` each state is reported as
-        it is, and new ones by samples.
+        ``reports`` is the kind of a row. ``"samples"``: a reading, such as one of a robot that passes by.
+        ``"changes"``: the value from then on, such as one of a door contact or a smart home; a row without a value
+        means that no value is known from then on, and an empty cell of a wide frame is no row. ``"events"``: one event,
+        or a number of events, such as those of a light barrier; values may be left out. ``hold_max`` is the longest
+        time for which a row of changes or events is valid (a week), ``hold_step`` the time between two readings that
+        are learned from the rows (five minutes, and an hour for events): texts such as ``"7d"``, or a timedelta. New
+        states keep this reporting; rows of states with another reporting are refused before anything is sent. Without
+        ``reports`` each state keeps its reporting, and new states are reported by samples.
 
         The rows of a producer and label are counted from the first: the same rows sent again add nothing, and more rows
         behind them are added. Data that is not a continuation needs a ``label`` of its own, or ``replace=True``, which
-        withdraws what the producer has sent with the label before. ``nightly``: the nightly update follows the time of
-        the data.
+        withdraws the rows that the producer has sent with the label before. ``nightly``: the nightly update follows the
+        time of the data.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = "samples" if stated is None else stated.kind
@@ -230,9 +230,9 @@ class Client(Questions, Routes, Landmarks, Tasks):
         hold_step: Duration | None = None,
         patience_secs: float = 60.0,
     ) -> Producer:
-        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as of :meth:`observe`.
+        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as in :meth:`observe`.
 
-        Where the daemon cannot be reached, it tries again for ``patience_secs`` before it gives up.
+        If the daemon cannot be reached, the producer tries again for ``patience_secs`` before it gives up.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = None if stated is None else stated.native()
@@ -240,7 +240,7 @@ class Client(Questions, Routes, Landmarks, Tasks):
         return Producer(native, zone, lambda: self._zone(map), "samples" if stated is None else stated.kind)
 
     def update(self, map: str, until: Time | None = None, *, zone: str | None = None) -> dict[str, Any]:
-        """Learns what was observed, as the nightly update does, and waits for it; returns the job."""
+        """Learns the new observations, as the nightly update does, and waits until this ends; returns the job."""
         request: dict[str, Any] = {"map": map}
         if until is not None:
             request["until"] = _times.timestamp(self._moment(map, until, zone))
@@ -257,10 +257,11 @@ class Client(Questions, Routes, Landmarks, Tasks):
         label: str | None = None,
         zone: str | None = None,
     ) -> dict[str, Any]:
-        """Erases a state, or what a producer observed, or an interval, as if it had never been observed.
+        """Erases a state, or the observations of a producer, or an interval, as if it had never been observed.
 
-        It is gone from history, models, log and later backups when this returns; ``to_time`` is not included. Returns
-        the job, whose ``observations`` were erased. What cannot be erased exactly is refused, with nothing changed.
+        The data is gone from history, models, log and later backups when this returns; ``to_time`` is not included.
+        Returns the job, whose ``observations`` were erased. Data that cannot be erased exactly is refused, and nothing
+        changes.
         """
         request: dict[str, Any] = {"map": map, "state": state or "", "producer": producer or ""}
         if label is not None:
@@ -273,8 +274,8 @@ class Client(Questions, Routes, Landmarks, Tasks):
     def forget_producer(self, map: str, producer: str, *, label: str | None = None) -> int:
         """Frees the places of a producer that will not come back: of all its labels, or of one.
 
-        What it has sent stays and keeps its numbers. Returns how many labels have given their places up. ``NotFound``: the
-        map has no such producer; ``FailedPrecondition``: it has an open stream.
+        Its observations stay and keep their numbers. Returns the number of labels that have given their places up.
+        ``NotFound``: the map has no such producer; ``FailedPrecondition``: it has an open stream.
         """
         request: dict[str, Any] = {"map": map, "producer": producer}
         if label is not None:
@@ -282,7 +283,8 @@ class Client(Questions, Routes, Landmarks, Tasks):
         return int(self.call("MaintenanceService/ForgetProducer", request)["forgotten"])
 
     def _withdraw(self, map: str, producer: str, label: str) -> None:
-        """Erases what a producer has sent with a label, if it has, so that it counts when it is sent again."""
+        """Erases the rows that a producer has sent with a label, if there are any, so that they count when they are
+        sent again."""
         token = ""
         while True:
             page = self.call("MaintenanceService/ListProducers", {"map": map, "page_size": 10_000, "page_token": token})
@@ -321,7 +323,8 @@ def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> Client:
 def _shown(
     progress: bool | Callable[[int, int], object],
 ) -> tuple[Callable[[int, int], object] | None, Callable[[], None]]:
-    """What is called with the number of durable rows and of all, and what ends it."""
+    """The function that is called with the number of durable rows and of all rows, and the function that ends the
+    display."""
     if callable(progress):
         return progress, lambda: None
     if not progress:

@@ -1,7 +1,7 @@
-"""The connection to a daemon: any RPC by its name, and times as the map of a request means them.
+"""The connection to a daemon: any RPC by its name, and times in the zone of the map of a request.
 
-Invariant: a time without a zone is never taken for UTC unless the map is in UTC or the user says so. A pickle holds no
-secret, and no open connection.
+Invariant: a time without a zone is never taken for UTC unless the map is in UTC or the user states it. A pickle holds
+no secret, and no open connection.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _bytes_of(what: str | Path | bytes | None) -> bytes | None:
 
 
 def _kept(what: str | Path | bytes | None) -> str | bytes | None:
-    """What a pickle has in its place: a path that is good in any folder."""
+    """The form of a value in a pickle: a path that is valid in any folder."""
     return what if what is None or isinstance(what, bytes) else str(Path(what).absolute())
 
 
@@ -45,7 +45,7 @@ class Stream(Iterator[dict[str, Any]]):
         return reply
 
     def close(self) -> None:
-        """Wants no further reply. A thread that waits for one gets the end."""
+        """Ends the stream: no further reply is wanted. A thread that waits for a reply gets the end of the stream."""
         self._native.cancel()
 
     def __reduce__(self) -> Any:
@@ -55,13 +55,13 @@ class Stream(Iterator[dict[str, Any]]):
 class Connection:
     """A connection to a daemon. Other threads of Python run while it waits.
 
-    ``token_file`` is a file that holds the token, ``token`` the token itself; ``ca``, ``certificate`` and ``key`` are files
-    or their content. At most 64 requests are under way at a time, others wait for their turn; where the daemon has no
-    room, a request is sent again when the daemon says, for at most a minute.
+    ``token_file`` is a file that holds the token, ``token`` the token itself; ``ca``, ``certificate`` and ``key`` are
+    files or their content. At most 64 requests are under way at a time, others wait for their turn; if the daemon has
+    no room, a request is sent again at the time that the daemon states, for at most a minute.
 
     A process that was forked gets connections of its own. A pickle has the address and the files, by absolute paths,
     and connects anew where it is loaded. A client whose token or private key was given as text is not pickled, because
-    the secret would lie in the pickle.
+    the pickle would contain the secret.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Connection:
 
     @property
     def server(self) -> str:
-        """Its address."""
+        """The address of the daemon."""
         return self._native.server
 
     def __repr__(self) -> str:
@@ -124,20 +124,20 @@ class Connection:
         return Stream(self._native.call(method, json.dumps(self._prepared(given, name, zone))))
 
     def call(self, method: str, request: dict[str, Any] | None = None, *, zone: str | None = None) -> dict[str, Any]:
-        """The one reply of ``SERVICE/METHOD``. Times of the request may have any form."""
+        """The single reply of ``SERVICE/METHOD``. Times of the request may have any form."""
         replies = list(self.stream(method, request, zone=zone))
         if len(replies) != 1:
             raise TidemapError(f"{method} gave {len(replies)} replies: use stream()", "INTERNAL")
         return replies[0]
 
     def _zone_now(self, map: str) -> str:
-        """The zone of a map, asked of the daemon."""
+        """The zone of a map, requested from the daemon."""
         found = str(self.call("MapService/GetMap", {"name": map})["map"]["time_zone"])
         self._zones[map] = found
         return found
 
     def _zone(self, map: str) -> str:
-        """The zone of a map, for what is shown: it never changes while the map exists."""
+        """The zone of a map, for output: the zone never changes while the map exists."""
         return self._zones.get(map) or self._zone_now(map)
 
     def _nanos(
@@ -158,7 +158,7 @@ class Connection:
         return int(nanos[0])
 
     def _prepared(self, value: Any, map: str, zone: str | None) -> Any:
-        """A request as JSON has it: times become texts, and the name of a model what it stands for."""
+        """A request in the form of JSON: times become texts, and the name of a model becomes its message."""
         if isinstance(value, dict):
             prepared = {key: self._prepared(item, map, zone) for key, item in value.items()}
             if isinstance(value.get("model"), str):

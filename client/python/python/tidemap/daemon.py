@@ -100,12 +100,12 @@ class Daemon:
         return self.http if self.http.startswith("http") else f"http://{self.http}"
 
     def kill(self) -> None:
-        """Ends it at once, as kill -9 does; for tests of what is durable."""
+        """Ends the daemon at once, as kill -9 does; for tests of durable data."""
         self._process.kill()
         self._process.wait(timeout=_STOPS_WITHIN_SECS)
 
     def stop(self) -> None:
-        """Ends it in order. Data in a folder that was given stays; a folder of its own goes."""
+        """Ends the daemon in order. Data in a given folder stays; a folder of its own is removed."""
         atexit.unregister(self.stop)
         if self._started_by != os.getpid():
             # A child of a fork may end before the process that the daemon belongs to.
@@ -137,7 +137,7 @@ def serve(
     listen: str = "127.0.0.1:0",
     http_listen: str = "127.0.0.1:0",
 ) -> Daemon:
-    """Starts a daemon on free ports of this machine; without ``data_dir``, its data goes when it ends.
+    """Starts a daemon on free ports of this machine; without ``data_dir``, its data is removed when it ends.
 
     ``arguments`` are further options of ``tidemapd``, ``listen`` and ``http_listen`` its addresses.
     """

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 
 class TidemapError(Exception):
-    """What the daemon refused, or what failed. ``code`` is the name of the gRPC code, such as ``NOT_FOUND``."""
+    """A request that the daemon refused, or that failed. ``code`` is the name of the gRPC code, such as
+    ``NOT_FOUND``."""
 
     def __init__(self, message: str, code: str = "UNKNOWN") -> None:
         super().__init__(message)
@@ -15,7 +16,7 @@ class TidemapError(Exception):
 
 
 class InvalidArgument(TidemapError, ValueError):
-    """An argument is not valid; the message says which, and what to do."""
+    """An argument is not valid; the message states which, and what to do."""
 
 
 class NotFound(TidemapError, LookupError):
@@ -27,7 +28,8 @@ class AlreadyExists(TidemapError):
 
 
 class FailedPrecondition(TidemapError):
-    """It cannot be done as things are, for example because these rows are not those that were sent before."""
+    """The request is not possible in the present state, for example because these rows differ from the rows that were
+    sent before."""
 
 
 class ResourceExhausted(TidemapError):

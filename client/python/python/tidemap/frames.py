@@ -1,11 +1,11 @@
-"""Rows of observations out of what people have: frames of pandas and polars, dictionaries of columns, arrays.
+"""Rows of observations from the data of users: frames of pandas and polars, dictionaries of columns, arrays.
 
 A long frame has a row for each observation, with the columns ``time``, ``state`` and ``value`` (or ``x``, ``y`` and
 ``z`` for positions). A wide frame has a row for each time and a column for each state. The time may be the index.
 
 Invariant: rows keep their order, and every row is read, dropped with its reason counted, or named in an error. A marker
-for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement: of samples it is dropped, of
-changes and events it says that no value is known from then on. An empty cell of a wide frame is no row.
+for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement: in samples it is dropped, in
+changes and events it means that no value is known from then on. An empty cell of a wide frame is no row.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ _NAMED = 5
 
 
 LABELS = "labels"
-"""In the place of how rows are reported: values are labels of categorical states, and each name is ``STATE/LABEL``."""
+"""A value in place of the kind of reporting: values are labels of categorical states, and each name is
+``STATE/LABEL``."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,9 @@ class Rows:
     read: int
     """Values of the frame, those without a measurement included."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """How many had each marker for "nothing measured"."""
+    """The number of values of each marker for "nothing measured"."""
     mapped: int = 0
-    """How many had a word for a value."""
+    """The number of values that were words."""
 
 
 class Numbers(NamedTuple):
@@ -61,11 +62,11 @@ class Numbers(NamedTuple):
     values: Floats
     """NaN where nothing was measured."""
     missing: dict[str, int]
-    """How often each marker for "nothing measured" was there."""
+    """The number of values of each marker for "nothing measured"."""
     mapped: int
-    """How many were words for values."""
+    """The number of values that were words."""
     said: npt.NDArray[np.bool_]
-    """Where a word says that nothing was measured; elsewhere NaN is an empty cell."""
+    """True where a word means that nothing was measured; elsewhere NaN is an empty cell."""
 
 
 def _wrong(message: str) -> InvalidArgument:
@@ -77,7 +78,7 @@ def numbers(
 ) -> Numbers:
     """Values as numbers.
 
-    ``words`` has values of further words; ``None`` stands for "nothing measured". Of events any word is one event.
+    ``words`` has values of further words; ``None`` means "nothing measured". In events any word is one event.
     """
     array = values if isinstance(values, np.ndarray) else np.asarray(values)
     array = array.ravel()
@@ -117,14 +118,14 @@ def numbers(
 
 
 class _Meaning(NamedTuple):
-    """What a value of a frame says."""
+    """The meaning of a value of a frame."""
 
     number: float
     is_word: bool = False
     marker: str | None = None
-    """What stands for "nothing measured", or for nothing that is known."""
+    """The marker for "nothing measured", or for an unknown value."""
     is_said: bool = False
-    """It is a word, and no empty cell."""
+    """Whether the value is a word, and no empty cell."""
     is_strange: bool = False
 
 
@@ -161,7 +162,7 @@ def is_empty(cell: Any) -> bool:
     """Whether a cell of a frame has no value: ``None``, NaN, NaT or the NA of pandas."""
     if cell is None:
         return True
-    # NA is equal to nothing, and says so by no answer.
+    # NA is equal to nothing: the comparison gives NA, not a truth value.
     equal = cell == cell
     return equal is not True and str(equal) in ("False", "<NA>")
 
@@ -185,7 +186,7 @@ def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]
 
 
 def of_arrays(states: Any, times: Any, values: Any, reports: str = "samples") -> Rows:
-    """Rows of columns; ``values`` of positions have two axes. Events without values are one each."""
+    """Rows of columns; ``values`` of positions have two axes. An event without a value counts as one."""
     given = times if isinstance(times, _times.Read) else _times.read(times)
     names, indices = numbered(states, len(given.nanos))
     if values is None and reports == "events":
@@ -258,7 +259,7 @@ def of_frame(
 
     ``columns`` gives the frame's own names for ``time``, ``state``, ``value``, ``x``, ``y`` and ``z``. ``states``: the
     state of a frame that has no such column; of a wide frame, the columns to take. ``words``: see :func:`numbers`.
-    ``reports``: what rows are; a frame of events needs no values, and each row is one event.
+    ``reports``: the kind of the rows; a frame of events needs no values, and each row is one event.
     """
     if hasattr(frame, "to_frame") and not hasattr(frame, "columns"):
         name = states if isinstance(states, str) else getattr(frame, "name", None)

@@ -1,4 +1,4 @@
-"""Landmarks: what a robot recognises places by, which of them are visible when, and where a robot is.
+"""Landmarks, by which a robot recognises places: which are visible when, and localisation of a robot.
 
 Invariant: nothing is computed here; the daemon predicts and matches.
 """
@@ -58,7 +58,7 @@ def _name(place: Mapping[str, Any]) -> str:
 
 
 def _row(landmark: Mapping[str, Any]) -> dict[str, Any]:
-    """What a landmark is and where."""
+    """The description and place of a landmark."""
     path, marker = landmark.get("path") or {}, landmark.get("marker") or {}
     feature = landmark.get("image") or path.get("feature") or {}
     described = feature.get("descriptor")
@@ -88,11 +88,11 @@ class Landmarks(Connection):
         along_m: Any = None,
         velocity_profile: bytes | None = None,
     ) -> dict[str, Any]:
-        """Adds image features to a node, or to an edge ``from/to``, or replaces those of their names.
+        """Adds image features to a node, or to an edge ``from/to``, or replaces the features of the same names.
 
-        ``positions``: pixels, shape (n, 2). ``descriptors``: uint8, shape (n, bytes), as OpenCV gives them. ``kind``: what
-        computes them, such as ``"orb"``; a map has descriptors of one kind. At an edge ``along_m`` says for each how far
-        along it is seen. Markers: ``call("LandmarkService/AddLandmarks", …)``.
+        ``positions``: pixels, shape (n, 2). ``descriptors``: uint8, shape (n, bytes), as OpenCV gives them. ``kind``:
+        the algorithm that computes them, such as ``"orb"``; a map has descriptors of one kind. At an edge ``along_m``
+        gives for each feature how far along the edge it is seen. Markers: ``call("LandmarkService/AddLandmarks", …)``.
         """
         features = _features(positions, descriptors)
         if len(names) != len(features):
@@ -126,7 +126,7 @@ class Landmarks(Connection):
     ) -> Observed:
         """Reports sightings, and waits until they are durable; the same ones again add nothing.
 
-        Each has ``time``, ``place`` and ``seen``, the names of the landmarks that were seen, and may have
+        Each sighting has ``time``, ``place`` and ``seen``, the names of the landmarks that were seen, and may have
         ``out_of_view``, and ``from_m`` and ``to_m`` for a part of an edge. It counts for all landmarks of the place: 1
         if it was seen, else 0, and nothing if it was out of view.
         """
@@ -160,7 +160,8 @@ class Landmarks(Connection):
         return tables.frame(rows, columns=[*_row_columns(), "seen_share", "sightings"])
 
     def remove_landmarks(self, map: str, place: str, names: Sequence[str]) -> None:
-        """Removes landmarks of a place; what was learned of them stays for one of the same name that is added again."""
+        """Removes landmarks of a place; their learned data stays for a landmark of the same name that is added
+        again."""
         request = {"map": map, "place": _place(place), "names": [str(name) for name in names]}
         self.call("LandmarkService/RemoveLandmarks", request)
 
@@ -186,7 +187,7 @@ class Landmarks(Connection):
         part: tuple[float, float] | None = None,
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """Which landmarks of a place are visible at a time, the most probable first; at most ``count``, or all.
+        """The landmarks of a place that are visible at a time, the most probable first; at most ``count``, or all.
 
         ``part``: from and to, metres along an edge.
         """
@@ -211,9 +212,9 @@ class Landmarks(Connection):
         nodes: Sequence[str] = (),
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """At which node a robot is that sees these image features, the best first.
+        """The nodes at which a robot with these image features may be, the best first.
 
-        ``positions`` and ``descriptors`` as of :meth:`add_landmarks`. ``count``: landmarks of each node to compare.
+        ``positions`` and ``descriptors`` as in :meth:`add_landmarks`. ``count``: landmarks of each node to compare.
         ``nodes``: where the robot may be. The columns are ``node, landmarks, matches, votes, heading_px, probability``.
         """
         tables.pandas_needed()

@@ -2,8 +2,9 @@
 
 ``X`` is the times, as one column or without columns, in any form of :mod:`tidemap.times`. Classifiers such as
 ``FreMEn`` learn a state of two values and give ``predict_proba``; regressors such as ``FreMEnRegressor`` learn any
-number. ``time_zone`` gives the rhythms their local day and week; ``zone`` says what times without a zone are in:
-``"local"`` for ``time_zone``, or the name of another zone. Without it they are refused, unless ``time_zone`` is UTC.
+number. ``time_zone`` gives the rhythms their local day and week; ``zone`` is the zone of times that have none:
+``"local"`` for ``time_zone``, or the name of another zone. Without ``zone`` such times are refused, unless
+``time_zone`` is UTC.
 
 Invariant: a model gives the numbers that the same model gives in the daemon for the same readings, also after it was
 pickled or copied. scikit-learn is not needed; where it is installed, the classes are its estimators.
@@ -141,7 +142,7 @@ def _numbers_of(y: Any, what: str) -> npt.NDArray[Any]:
 
 
 class _Model(_Estimator):
-    """What all estimators share."""
+    """The base of all estimators."""
 
     _kind = ""
     _state_kind = "probability"
@@ -152,14 +153,15 @@ class _Model(_Estimator):
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
-        # As IsotonicRegression has them, which also takes one column. check_estimator then has no data to try.
+        # The tags are those of IsotonicRegression, which also takes one column. check_estimator then has no data to
+        # try.
         tags.input_tags.one_d_array = True
         tags.input_tags.two_d_array = False
         tags.target_tags.required = True
         return tags
 
     def _more_tags(self) -> dict[str, Any]:
-        # Of scikit-learn before 1.6.
+        # The form for scikit-learn before 1.6.
         return {"X_types": ["1darray"], "binary_only": True, "requires_y": True}
 
     def _parameters(self) -> dict[str, Any]:
@@ -235,7 +237,7 @@ class _Classifier(_ClassifierMixin, _Model):
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.classifier_tags.multi_class = False
-        # What scikit-learn tries has no rhythms.
+        # The data that scikit-learn tries has no rhythms.
         tags.classifier_tags.poor_score = True
         return tags
 
@@ -388,12 +390,12 @@ class FreMEn(_OfRhythms, _Classifier):
     """Frequency Map Enhancement (T-RO 2017): the mean and the strongest rhythms.
 
     ``order``: number of rhythms, 0 to 15. ``period_base``, ``period_count``: candidates base/1 … base/count. Once
-    fitted, ``mean_`` and ``rhythms_`` are what it has learned, the strongest rhythm first.
+    fitted, ``mean_`` and ``rhythms_`` hold the learned model, the strongest rhythm first.
     """
 
 
 class FreMEnRegressor(_OfRhythms, _Regressor):
-    """As :class:`FreMEn`, for any number."""
+    """The model of :class:`FreMEn`, for any number."""
 
 
 class Histogram(_OfBins, _Classifier):
@@ -401,7 +403,7 @@ class Histogram(_OfBins, _Classifier):
 
 
 class HistogramRegressor(_OfBins, _Regressor):
-    """As :class:`Histogram`, for any number."""
+    """The model of :class:`Histogram`, for any number."""
 
 
 class Calibrated(_OfWeek, _Classifier):
@@ -409,11 +411,11 @@ class Calibrated(_OfWeek, _Classifier):
 
 
 class CalibratedRegressor(_OfWeek, _Regressor):
-    """As :class:`Calibrated`, for any number."""
+    """The model of :class:`Calibrated`, for any number."""
 
 
 class Ensemble(_Classifier):
-    """All that predicts the looks of a state, weighted by how well each has predicted before."""
+    """All models that predict the half-hour bins of a state, weighted by how well each has predicted before."""
 
     _kind = "ensemble"
 
@@ -427,7 +429,7 @@ class Hypertime(_OfClusters, _Classifier):
 
 
 class HypertimeRegressor(_OfClusters, _Regressor):
-    """As :class:`Hypertime`, for any number."""
+    """The model of :class:`Hypertime`, for any number."""
 
 
 class PerGaM(_Classifier):

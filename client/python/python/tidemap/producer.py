@@ -1,6 +1,6 @@
 """Observations as they come.
 
-Invariant: what was taken is sent in order, and durable after a flush.
+Invariant: observations that were taken are sent in order, and durable after a flush.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a producer is."""
+    """The progress of a producer."""
 
     phase: str
     """``connecting``, ``connected``, ``waiting`` (the daemon cannot be reached now) or ``ended``."""
@@ -38,24 +38,26 @@ class Progress:
     store_id: str
     """Id of the data folder of the daemon."""
     unreported: int
-    """How many became durable while the connection broke, so that it is not known whether they were refused."""
+    """The number of observations that became durable while the connection broke, so that it is not known whether they
+    were refused."""
     dropped_refusals: int
-    """How many refusals were dropped because nobody took the earlier ones."""
+    """The number of refusals that were dropped because nobody took the earlier ones."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """What the daemon did not take. Its number is used."""
+    """An observation that the daemon did not take. Its number is used."""
 
     sequence: int
     reason: str | None
-    """For programs, such as ``Empty`` or ``Frame``; ``None``: one that this version does not know."""
+    """For programs, such as ``Empty`` or ``Frame``; ``None``: a reason that this version does not know."""
     detail: str
     """In words."""
 
 
 class Producer:
-    """Observations as they come; use it as a context manager. What it has taken is durable after ``flush()``."""
+    """Sends observations as they come; use it as a context manager. Observations that it has taken are durable after
+    ``flush()``."""
 
     def __init__(
         self, native: OpenProducer, zone: str | None, zone_of_map: Callable[[], str], reports: str = "samples"
@@ -68,8 +70,8 @@ class Producer:
     def send(self, state: str, time: Time, value: float | bool | str | None) -> int:
         """Takes an observation and returns its number; it is sent in the background.
 
-        ``value`` may be a word. ``None``, NaN or ``unavailable`` of changes or events says that no value is known from
-        then on. Of events it is their number, usually 1.
+        ``value`` may be a word. ``None``, NaN or ``unavailable`` in changes or events means that no value is known from
+        then on. In events ``value`` is the number of events, usually 1.
         """
         nanos = self._nanos(time)
         number = float(frames.numbers([value], reports=self._reports).values[0])
@@ -96,8 +98,8 @@ class Producer:
         """Takes a scan of a planar range finder at ``pose`` in the map, and returns its number.
 
         Angles go counter-clockwise from the x axis of the sensor. Infinity: nothing up to ``max_range_m``; NaN: no
-        reading. Readings nearer than ``min_range_m`` are ignored. ``frame_id`` is the frame of the pose; empty: that
-        of the map.
+        reading. Readings nearer than ``min_range_m`` are ignored. ``frame_id`` is the frame of the pose; empty: the
+        frame of the map.
         """
         nanos, ranges = self._nanos(time), np.ascontiguousarray(ranges_m, dtype=np.float32)
         return self._native.send_ranges(
@@ -116,7 +118,7 @@ class Producer:
     ) -> int:
         """Takes a point cloud, rows x, y, z in metres in the frame of the sensor at ``pose`` in the map.
 
-        Points that are not finite or nearer than ``min_range_m`` are ignored; farther ones than ``max_range_m`` only
+        Points that are not finite or nearer than ``min_range_m`` are ignored; points farther than ``max_range_m`` only
         show that the way is free up to it (0: the limit of the daemon). Returns its number.
         """
         points = np.ascontiguousarray(xyz_m, dtype=np.float32)
@@ -157,12 +159,12 @@ class Producer:
 
     @property
     def progress(self) -> Progress:
-        """How far it is."""
+        """The progress of the producer."""
         found: dict[str, Any] = self._native.progress()
         return Progress(**found)
 
     def take_refusals(self) -> list[Refusal]:
-        """What the daemon refused since the last call, at most 65,536."""
+        """The observations that the daemon refused since the last call, at most 65,536."""
         return [Refusal(*row) for row in self._native.take_refusals()]
 
     def _nanos(self, time: Time) -> int:
@@ -177,7 +179,7 @@ class Producer:
         self._native.close()
 
     def abandon(self) -> None:
-        """Ends at once; what is not durable may or may not become so."""
+        """Ends at once; observations that are not durable may or may not become durable."""
         self._native.abandon()
 
     def __reduce__(self) -> Any:

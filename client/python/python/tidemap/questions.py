@@ -1,6 +1,6 @@
-"""Questions about states and grids: what is expected, what was observed, what was unusual.
+"""Queries of states and grids: expected values, observed values, unusual observations.
 
-Invariant: answers with many numbers come as arrays, all others as the daemon says them.
+Invariant: answers with many numbers come as arrays, all others in the form of the daemon.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class Questions(Connection):
                 return found
 
     def states(self, map: str) -> pandas.DataFrame:
-        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and how they
-        are reported: ``reports, hold_max, hold_step``.
+        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and their
+        reporting: ``reports, hold_max, hold_step``.
         """
         tables.pandas_needed()
         return tables.of_states(self._states(map), self._zone(map))
 
     def _named(self, map: str, states: str | Sequence[str] | None) -> list[str]:
-        """The names of states: those given, those that patterns such as ``door*`` stand for, or all."""
+        """The names of states: the given names, the names that match patterns such as ``door*``, or all."""
         given = None if states is None else [states] if isinstance(states, str) else [str(name) for name in states]
         if given is not None and not any(_PATTERN & set(name) for name in given):
             return given
@@ -81,12 +81,13 @@ class Questions(Connection):
         interval: float | None = None,
         zone: str | None = None,
     ) -> Predictions:
-        """Predicts states at times: those named, those like ``door*``, or without ``states`` all.
+        """Predicts states at times: the named states, states that match patterns like ``door*``, or without ``states``
+        all states.
 
-        A categorical state has a row for each label, ``STATE/LABEL``; they sum to 1, and their entropy is that of the
-        distribution.
+        A categorical state has a row for each label, ``STATE/LABEL``; they sum to 1, and their entropy is the entropy
+        of the distribution.
 
-        ``interval`` is the probability of the intervals, such as 0.9. ``zone`` says what times without a zone are in:
+        ``interval`` is the probability of the intervals, such as 0.9. ``zone`` is the zone of times that have none:
         ``"local"`` for the zone of the map, or the name of another one.
         """
         if times is None:
@@ -119,8 +120,8 @@ class Questions(Connection):
         sequence: int | None = None,
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """Says which label of a categorical state holds: from how likely each label makes what was observed, what the
-        state has learned of the time, and of the place.
+        """Computes which label of a categorical state holds: from the likelihood of the observation under each label,
+        and from the state's learned data of the time and of the place.
 
         A row for each label: ``label, probability, likelihood, temporal_prior, spatial_prior``. ``likelihoods`` of
         labels that are not named are 0. ``time`` is now by default. ``learn``: ``"label"`` learns the likeliest label,
@@ -168,10 +169,10 @@ class Questions(Connection):
     ) -> pandas.DataFrame:
         """Compares predictions with observations that are not learned; a row for each state, model and order.
 
-        Observations and ``reports`` as of :meth:`Client.observe`. Of a state that reports changes or events, the
-        daemon compares with the readings that the rows stand for. ``models``: names as on the command line, or
+        Observations and ``reports`` as of :meth:`Client.observe`. For a state that reports changes or events, the
+        daemon compares with the readings that the rows represent. ``models``: names as on the command line, or
         ``"all"``. The columns are ``state, model, order, n, mse, error_rate``. What could not be compared is in
-        ``attrs["unavailable"]``, and a warning says it.
+        ``attrs["unavailable"]``, and a warning lists it.
         """
         tables.pandas_needed()
         stated = _reports.stated(reports, None, None)
@@ -225,10 +226,11 @@ class Questions(Connection):
         *,
         zone: str | None = None,
     ) -> pandas.DataFrame:
-        """What was observed, exactly, where the map keeps it: the columns ``time, state, value``, as ``observe`` takes.
+        """The exact observations, where the map keeps them: the columns ``time, state, value``, as ``observe`` takes
+        them.
 
-        Without ``states`` all, without times everything; ``to_time`` is not included. Of states that report changes or
-        events these are their rows, NaN where one says that no value is known from then on.
+        Without ``states`` all, without times everything; ``to_time`` is not included. For states that report changes or
+        events these are their rows, NaN where a row means that no value is known from then on.
         """
         tables.pandas_needed()
         begin, end = self._span(map, from_time, to_time, zone)
@@ -254,12 +256,12 @@ class Questions(Connection):
         zone: str | None = None,
         **request: Any,
     ) -> pandas.DataFrame:
-        """What was unusual.
+        """The unusual observations.
 
         Over all states, or several: runs of observations, judged before they were learned, the most surprising first,
-        with ``from, to, state, observations, surprise_bits, above, value, probability``. Of one state by its name: each
-        reading that the model of today does not expect, with ``time, value, probability``; ``request`` then has fields
-        of ``FindAnomaliesRequest``, such as ``model``.
+        with ``from, to, state, observations, surprise_bits, above, value, probability``. For one state, given by its
+        name: each reading that the model of today does not expect, with ``time, value, probability``; ``request`` then
+        has fields of ``FindAnomaliesRequest``, such as ``model``.
         """
         tables.pandas_needed()
         begin, end = self._span(map, from_time, to_time, zone)
@@ -297,10 +299,10 @@ class Questions(Connection):
     def position(
         self, map: str, state: str, times: Any, *, top: int = 1, zone: str | None = None, **request: Any
     ) -> pandas.DataFrame:
-        """Where something probably is: the ``top`` most probable cells of each time (0: all), a row each.
+        """The probable positions of a vector: the ``top`` most probable cells of each time (0: all), a row each.
 
-        ``x, y`` (and ``z``) are the middle of the cell in metres, ``probability`` that of the cell; ``expected_x`` and
-        so on the expected position, ``outside`` the probability of none of the cells. Fields of
+        ``x, y`` (and ``z``) are the middle of the cell in metres, ``probability`` the probability of the cell;
+        ``expected_x`` and so on the expected position, ``outside`` the probability of none of the cells. Fields of
         ``PredictPositionsRequest``.
         """
         tables.pandas_needed()
@@ -355,7 +357,8 @@ class Questions(Connection):
         zone: str | None = None,
         **request: Any,
     ) -> pandas.DataFrame:
-        """What looking at states, locations or a region teaches: ``time, target, information_bits, entropy_bits``.
+        """The information gain of observing states, locations or a region: ``time, target, information_bits,
+        entropy_bits``.
 
         Without ``states``, ``locations`` and ``region`` all states that are probabilities. ``request`` has further
         fields of ``GetInformationRequest``.
@@ -371,7 +374,7 @@ class Questions(Connection):
         return tables.of_information(replies, nanos, self._zone(map))
 
     def describe(self, map: str, state: str) -> dict[str, Any]:
-        """What a state's model consists of: kind, order, rhythms, errors lately."""
+        """The parts of a state's model: kind, order, rhythms, errors lately."""
         return self.call("QueryService/DescribeModel", {"map": map, "state": state})
 
     def changed_cells(self, map: str, **request: Any) -> list[dict[str, Any]]:
@@ -393,8 +396,8 @@ class Questions(Connection):
     ) -> Grid:
         """The grid at a time: ``probability``, ``entropy``, or ``threshold`` (1 where it is at least ``threshold``).
 
-        ``region`` has the first cell and the one beyond the last, as x, y, z, x, y, z; ``project`` gives each column
-        of cells the value of its most probable one.
+        ``region`` has the first cell and the cell beyond the last, as x, y, z, x, y, z; ``project`` gives each column
+        of cells the value of its most probable cell.
         """
         nanos = self._moment(map, time, zone)
         found = self._native.predict_grid(map, nanos, model, output, threshold, region, project)

@@ -1,6 +1,6 @@
-"""How states are reported: what a row of a state says, and for how long.
+"""The reporting of states: the meaning of a row of a state, and the time for which it is valid.
 
-Invariant: what is said is checked before anything is sent, and a duration has a unit.
+Invariant: the stated reporting is checked before anything is sent, and a duration has a unit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WIRE = "ROW_KIND_"
 
 @dataclass(frozen=True)
 class Stated:
-    """What is said of states; ``None``: a duration is not said."""
+    """The stated reporting of states; ``None``: a duration is not stated."""
 
     kind: str
     max_secs: int | None = None
@@ -33,11 +33,11 @@ class Stated:
 
     @property
     def may_lack_value(self) -> bool:
-        """Whether a row may say that no value is known from then on."""
+        """Whether a row may mean that no value is known from then on."""
         return self.kind != "samples"
 
     def native(self) -> tuple[str, int | None, int | None]:
-        """What is said, with durations in nanoseconds."""
+        """The stated reporting, with durations in nanoseconds."""
         spans = [None if secs is None else secs * SECOND for secs in (self.max_secs, self.step_secs)]
         return self.kind, spans[0], spans[1]
 
@@ -48,7 +48,7 @@ class Stated:
         return {"kind": _WIRE + self.kind.upper(), **said}
 
     def is_true_of(self, found: Stated) -> bool:
-        """Whether it is true of a state that is reported as ``found``, in which everything is said."""
+        """Whether it agrees with the reporting ``found`` of a state, in which everything is stated."""
         return self.kind == found.kind and all(
             said in (None, known)
             for said, known in ((self.max_secs, found.max_secs), (self.step_secs, found.step_secs))
@@ -80,7 +80,7 @@ def nanos_of(duration: Duration, name: str) -> int:
 
 
 def stated(reports: str | None, hold_max: Duration | None, hold_step: Duration | None) -> Stated | None:
-    """What is said of states; ``None``: nothing."""
+    """The stated reporting of states; ``None``: nothing is stated."""
     spans = {"hold_max": hold_max, "hold_step": hold_step}
     said = {name: nanos_of(duration, name) for name, duration in spans.items() if duration is not None}
     if reports is None:
@@ -97,7 +97,7 @@ def stated(reports: str | None, hold_max: Duration | None, hold_step: Duration |
 
 
 def of_state(state: dict[str, Any]) -> Stated:
-    """How a state of the wire is reported."""
+    """The reporting of a state of the wire."""
     found = state.get("reporting") or {}
     kind = str(found.get("kind", "")).removeprefix(_WIRE).lower()
     if kind not in ("changes", "events"):
@@ -107,7 +107,8 @@ def of_state(state: dict[str, Any]) -> Stated:
 
 
 def check(stated: Stated, names: Iterable[str], states: list[dict[str, Any]]) -> None:
-    """Refuses rows of states that exist and are reported otherwise: sent, they would be refused and use up numbers."""
+    """Refuses rows of states that exist with another reporting: if they were sent, they would be refused and use up
+    numbers."""
     wanted = set(names)
     others = [(state["name"], of_state(state)) for state in states if state["name"] in wanted]
     others = [(name, found) for name, found in others if not stated.is_true_of(found)]
@@ -122,7 +123,7 @@ def check(stated: Stated, names: Iterable[str], states: list[dict[str, Any]]) ->
 
 
 def check_values(names: Iterable[str], states: list[dict[str, Any]]) -> None:
-    """Refuses rows without a value of states that report changes or events, where nothing is said of rows."""
+    """Refuses rows without a value of states that report changes or events, if ``reports`` is not given."""
     wanted = set(names)
     lacking = [(state["name"], of_state(state)) for state in states if state["name"] in wanted]
     for name, found in lacking:

@@ -77,7 +77,7 @@ class Routes(Connection):
         return self.call("TopologyService/LoadTopology", request)
 
     def add_no_go(self, map: str, area: str, corners: Any) -> None:
-        """Adds an area that nothing is planned through, or replaces that of its name.
+        """Adds an area that nothing is planned through, or replaces the area of the same name.
 
         ``corners`` are pairs of metres, in their order around the polygon.
         """
@@ -107,7 +107,7 @@ class Routes(Connection):
         """Reports traversals of edges, and waits until they are durable; the same rows again add nothing.
 
         ``frame`` has the columns ``from``, ``to``, ``start``, ``end`` and ``success``, and may have ``action`` and
-        ``reason``; ``columns`` gives the frame's own names for them. ``times``: as of :meth:`Client.observe`.
+        ``reason``; ``columns`` gives the frame's own names for them. ``times``: see :meth:`Client.observe`.
         """
         own = {name: name for name in ("from", "to", "start", "end", "success", "action", "reason")}
         own.update(columns or {})
@@ -144,10 +144,11 @@ class Routes(Connection):
         zone: str | None = None,
         **request: Any,
     ) -> pandas.DataFrame:
-        """The way from a node to another one: a row an edge, with ``route`` 0 for the best and more for alternatives.
+        """The way from a node to another one: a row for each edge, with ``route`` 0 for the best and more for
+        alternatives.
 
-        It leaves at ``depart``, or arrives by ``arrive_by``. ``attrs["routes"]`` has success, departure, arrival and
-        cost of each route. Further fields of ``PlanRouteRequest``: ``alternatives=1``, ``objective=…``.
+        The robot leaves at ``depart``, or arrives by ``arrive_by``. ``attrs["routes"]`` has success, departure, arrival
+        and cost of each route. Further fields of ``PlanRouteRequest``: ``alternatives=1``, ``objective=…``.
         """
         asked: dict[str, Any] = {"map": map, "from": start, "to": goal, **request}
         for name, time in (("depart_time", depart), ("arrive_by_time", arrive_by)):
@@ -158,7 +159,7 @@ class Routes(Connection):
     def policy(
         self, map: str, goal: str, start_time: Time, *, zone: str | None = None, **request: Any
     ) -> pandas.DataFrame:
-        """What to do at each node and time to reach a node: ``slot, node, next, action, expected_secs, probability``.
+        """The action at each node and time to reach a node: ``slot
 
         ``action`` is ``take`` (the edge to ``next``, with its action as in ``take:elevator``), ``wait``, ``nothing`` or
         ``arrived``. ``request`` has further fields of ``PlanPolicyRequest``.
@@ -170,7 +171,7 @@ class Routes(Connection):
     def search(
         self, map: str, start: str, object: str, start_time: Time, *, zone: str | None = None, **request: Any
     ) -> pandas.DataFrame:
-        """Where to look for something, in which order: ``step, node, arrival_secs, probability``.
+        """The places to search for a target, in order: ``step, node, arrival_secs, probability``.
 
         ``attrs`` has what holds for the whole search, such as ``expected_secs``. ``request`` has further fields of
         ``PlanSearchRequest``.
@@ -191,7 +192,7 @@ class Routes(Connection):
         zone: str | None = None,
         **request: Any,
     ) -> pandas.DataFrame:
-        """A tour to the ``count`` places where looking teaches most, in driving order.
+        """A tour to the ``count`` places where observations give most information, in driving order.
 
         The columns are ``step, x, y, information_bits, reachability, arrival_secs``; ``attrs`` has what holds for the
         whole tour: its ``path``, ``length_m``, ``expected_bits`` and so on. ``start`` is x and y in metres; without it
@@ -204,10 +205,11 @@ class Routes(Connection):
         return tables.of_tour(self.call("ExplorationService/PlanTour", asked, zone=zone))
 
     def day(self, map: str, date: Any, **request: Any) -> pandas.DataFrame:
-        """When to explore on a local day (``2026-01-05``) and where: ``slot, start, location, information_bits``.
+        """The slots in which to explore on a local day (``2026-01-05``), and the locations: ``slot, start, location,
+        information_bits``.
 
-        Where ``location`` is empty, the robot rests. How much is explored needs ``explore`` (slots) or ``ratio``,
-        fields of ``PlanDayRequest``; ``request`` has further ones.
+        Where ``location`` is empty, the robot rests. The amount of exploration is set by ``explore`` (slots) or
+        ``ratio``, fields of ``PlanDayRequest``, and needs one of them; ``request`` has further fields.
         """
         tables.pandas_needed()
         asked = {"map": map, "date": str(date)[:10], **request}

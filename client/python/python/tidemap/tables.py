@@ -1,6 +1,6 @@
 """Answers of the daemon as DataFrames of pandas.
 
-Invariant: times are in the zone of the map and keep their nanoseconds; numbers are those of the wire.
+Invariant: times are in the zone of the map and keep their nanoseconds; numbers are the numbers of the wire.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def of_series(times: Any, zone: str, **columns: Any) -> pandas.DataFrame:
 
 
 def of_routes(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
-    """Routes: a row an edge; ``route`` 0 is the best. ``attrs`` has what holds for whole routes."""
+    """Routes: a row for each edge; ``route`` 0 is the best. ``attrs`` has what holds for whole routes."""
     steps = [
         (number, place, step) for number, route in enumerate(reply["routes"])
         for place, step in enumerate(route["steps"], start=1)
@@ -155,7 +155,7 @@ def of_policy(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
 
 
 def _entries(node: dict[str, Any]) -> Iterator[tuple[str | None, str, float, float]]:
-    """What to do at a node in each slot: the next node, the action, seconds and probability."""
+    """The actions at a node in each slot: the next node, the action, seconds and probability."""
     for action, place, secs, reach in zip(node["actions"], node["edge_indices"], node["expected_secs"], node["reach"]):
         word = name_of(action, "POLICY_ACTION_")
         edge = node["edges"][place] if word == "edge" else {}
@@ -164,7 +164,7 @@ def _entries(node: dict[str, Any]) -> Iterator[tuple[str | None, str, float, flo
 
 
 def of_search(reply: dict[str, Any]) -> pandas.DataFrame:
-    """A search: a row a place to look at."""
+    """A search: a row for each place to search."""
     steps = reply["steps"]
     table = frame({
         "step": np.arange(1, len(steps) + 1),
@@ -175,7 +175,7 @@ def of_search(reply: dict[str, Any]) -> pandas.DataFrame:
 
 
 def of_tour(reply: dict[str, Any]) -> pandas.DataFrame:
-    """A tour: a row a place to look from."""
+    """A tour: a row for each viewpoint."""
     steps = reply["steps"]
     places = [step.get("at") or {} for step in steps]
     table = frame({
@@ -217,7 +217,7 @@ def of_planned(
 def of_information(
     replies: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
 ) -> pandas.DataFrame:
-    """What looking teaches: a row for each target and time."""
+    """The information gain of observations: a row for each target and time."""
     return frame({
         "time": zoned(np.tile(times, len(replies)), zone),
         "target": np.repeat(np.array([reply["target"] for reply in replies], dtype=object), len(times)),

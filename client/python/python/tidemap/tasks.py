@@ -1,4 +1,4 @@
-"""Tasks of a robot: what is to be done, plans of days, and reports of what was done.
+"""Tasks of a robot: the tasks, plans of days, and reports of done tasks.
 
 Invariant: nothing is planned here; the daemon plans, keeps plans, and learns from reports.
 """
@@ -42,7 +42,8 @@ class Tasks(Connection):
         end: str = "24:00",
         **task: Any,
     ) -> dict[str, Any]:
-        """Adds a task, or replaces that of its kind and node. It is done between two local times of a day.
+        """Adds a task, or replaces the task of the same kind and node. The task is done between two local times of a
+        day.
 
         ``task`` has further fields of ``Task``: ``value``, ``value_state``, ``weekdays``, ``date``, ``every_secs``.
         """
@@ -52,7 +53,7 @@ class Tasks(Connection):
         return added
 
     def remove_task(self, map: str, kind: str, node: str) -> None:
-        """Removes a task; what was learned of it stays."""
+        """Removes a task; its learned data stays."""
         self.call("TaskService/RemoveTask", {"map": map, "kind": kind, "node": node})
 
     def tasks(self, map: str) -> pandas.DataFrame:
@@ -90,7 +91,7 @@ class Tasks(Connection):
     def kept_plan(
         self, map: str, date: Any = "", *, at: Time | None = None, zone: str | None = None
     ) -> pandas.DataFrame:
-        """The kept plan of a local day, a row a step; where ``kind`` is empty, the robot explores ``location``.
+        """The kept plan of a local day, a row for each step; where ``kind`` is empty, the robot explores ``location``.
 
         ``attrs["current"]`` is the number of the step at the time ``at``, by default now; ``None``: nothing is planned
         then. Without ``date`` it is the day of that time.
@@ -138,7 +139,7 @@ class Tasks(Connection):
         return int(reply["durable_sequence"])
 
     def task_weeks(self, map: str, begin: str = "00:00", end: str = "24:00", weekdays: int = 0) -> pandas.DataFrame:
-        """How much the robots of a map work by themselves, a row a week: A % and TSL of IEEE RAM 2017, and counts."""
+        """The autonomy of the robots of a map, a row for each week: A % and TSL of IEEE RAM 2017, and counts."""
         tables.pandas_needed()
         hours = {"from_secs": _seconds(begin), "until_secs": _seconds(end), "weekdays": weekdays}
         return tables.frame(self.call("TaskService/ListTaskWeeks", {"map": map, **hours})["weeks"])

@@ -1,11 +1,11 @@
 """Times as people have them, as nanoseconds UTC.
 
 One rule everywhere: integers are nanoseconds since 1970 UTC, floats are seconds since 1970 UTC, and a time that has no
-zone (``datetime64``, a ``datetime`` without ``tzinfo``, a text without an offset) needs the word of the user for what
-it means: the zone of the map (``"local"``), or another one by name, such as ``"UTC"``.
+zone (``datetime64``, a ``datetime`` without ``tzinfo``, a text without an offset) needs a zone from the user: the zone
+of the map (``"local"``), or another one by name, such as ``"UTC"``.
 
 Invariant: nothing passes through floating point but floats themselves, and no time without a zone is taken for UTC
-unless the map is in UTC or the user says so.
+unless the map is in UTC or the user states it.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Read:
     """Times as they were given."""
 
     nanos: Nanos
-    """UTC, or what a clock on the wall showed where ``local`` is set."""
+    """UTC, or the reading of a wall clock where ``local`` is set."""
     local: npt.NDArray[np.bool_] | None
-    """Which of them have no zone; ``None``: all have one."""
+    """Whether each time has no zone; ``None``: all have one."""
 
 
 def is_utc(zone: str) -> bool:
@@ -207,8 +207,8 @@ def resolve(
 ) -> Nanos:
     """Nanoseconds UTC of times.
 
-    ``zone`` is the zone of those that have none: ``"local"`` for that of the map, or a name. ``None``: they are
-    refused, unless the map is in UTC. ``states`` tells the states of the rows, for the hour that exists twice, and
+    ``zone`` is the zone of times that have none: ``"local"`` for the zone of the map, or a name. ``None``: such times
+    are refused, unless the map is in UTC. ``states`` has the states of the rows, for the hour that exists twice, and
     ``source`` their numbers in errors.
     """
     if given.local is None or not given.local.any():
@@ -235,7 +235,7 @@ def resolve(
 def from_clock(
     local: Nanos, zone: str, states: npt.NDArray[np.uint32] | None = None, rows: npt.NDArray[np.intp] | None = None
 ) -> Nanos:
-    """What a clock on the wall of a zone showed, as UTC.
+    """The readings of a wall clock of a zone, as UTC.
 
     An hour that exists twice follows the order of the rows. A time that does not exist is refused.
     """
@@ -267,10 +267,11 @@ def from_clock(
 def _in_second_hour(
     local: Nanos, hour: Nanos, states: npt.NDArray[np.uint32] | None
 ) -> npt.NDArray[np.bool_]:
-    """Which rows of an hour that exists twice are of the second one.
+    """The rows of an hour that exists twice that belong to the second one.
 
-    It begins where the clock goes back by half of it or more; else, for each state, where its clock goes back most, or
-    stands still. Rows of a state that never does are of the second hour behind the first such row of another state.
+    The second hour begins where the clock goes back by half of the repeated hour or more; else, for each state, where
+    its clock goes back most, or stands still. If the clock of a state never does this, its rows belong to the second
+    hour after the first such row of another state.
     """
     rows = np.arange(len(local))
     steps = np.diff(local)
@@ -294,7 +295,7 @@ def _in_second_hour(
 
 
 def to_clock(times: Nanos, zone: str) -> npt.NDArray[np.datetime64]:
-    """What a clock on the wall of a zone shows, as datetime64 without a zone."""
+    """The readings of a wall clock of a zone, as datetime64 without a zone."""
     return datetimes(times + zone_offsets(zone, np.ascontiguousarray(times)) * SECOND)
 
 

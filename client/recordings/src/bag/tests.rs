@@ -1,6 +1,6 @@
 //! Bags that the tests write.
 //!
-//! Invariant: a written bag is one that a strict reader takes, but where a test says otherwise.
+//! Invariant: a written bag can be read by a strict reader, unless a test states otherwise.
 
 use std::io::Write;
 

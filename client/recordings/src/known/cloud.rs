@@ -33,7 +33,7 @@ impl<'a> Cloud<'a> {
     /// Reads a message.
     ///
     /// # Errors
-    /// A field is missing, the cloud has no x, y and z of type float32 or float64, or its lengths do not go together.
+    /// A field is missing, the cloud has no x, y and z of type float32 or float64, or its lengths do not fit together.
     pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
         let fields = Fields { type_name: "sensor_msgs/PointCloud2", message };
         let (width, height) = (fields.size(&["width"])?, fields.size(&["height"])?);

@@ -1,6 +1,6 @@
 //! Occupancy grids, `nav_msgs/OccupancyGrid`, and their changes, `map_msgs/OccupancyGridUpdate`.
 //!
-//! Invariant: a grid has as many cells as its width and height say.
+//! Invariant: a grid has as many cells as its width times its height.
 
 use nalgebra::Isometry3;
 
@@ -28,7 +28,7 @@ impl<'a> Grid<'a> {
     /// Reads a message.
     ///
     /// # Errors
-    /// A field is missing, the resolution is not above 0, or the number of cells is not that of width and height.
+    /// A field is missing, the resolution is not above 0, or the number of cells is not width times height.
     pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
         let fields = Fields { type_name: "nav_msgs/OccupancyGrid", message };
         let (width, height) = (fields.size(&["info", "width"])?, fields.size(&["info", "height"])?);
@@ -68,7 +68,7 @@ impl<'a> GridUpdate<'a> {
     /// Reads a message.
     ///
     /// # Errors
-    /// A field is missing, or the number of cells is not that of width and height.
+    /// A field is missing, or the number of cells is not width times height.
     pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
         let fields = Fields { type_name: "map_msgs/OccupancyGridUpdate", message };
         let (width, height) = (fields.size(&["width"])?, fields.size(&["height"])?);

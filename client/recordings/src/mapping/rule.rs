@@ -1,6 +1,6 @@
 //! The entries of a mapping: from the fields of a topic to states, positions and traversals.
 //!
-//! Invariant: a rule makes of one message at most as many observations as the array that it names has elements.
+//! Invariant: from one message a rule makes at most as many observations as its array has elements.
 
 use std::collections::BTreeMap;
 
@@ -40,7 +40,7 @@ impl FieldPlace {
         Ok(Self { topic: topic.to_owned(), each, field })
     }
 
-    /// The values in which the rule looks: the message itself, or the elements of its array.
+    /// The values in which the rule finds its fields: the message itself, or the elements of its array.
     pub(crate) fn elements<'a>(&self, message: &Value<'a>) -> Vec<Value<'a>> {
         match &self.each {
             None => vec![message.clone()],
@@ -77,7 +77,7 @@ impl Template {
     /// Reads a name.
     ///
     /// # Errors
-    /// A brace is not closed, or what is in it is no field.
+    /// A brace is not closed, or its content is not a field.
     pub fn read(text: &str) -> Result<Self, String> {
         let mut parts = Vec::new();
         let mut rest = text;
@@ -151,42 +151,42 @@ pub enum ValueKind {
     Categorical,
 }
 
-/// What the messages of a topic are.
+/// The meaning of the messages of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Reports {
-    /// Looks at the state.
+    /// Readings of the state at the times of the messages.
     #[default]
     Samples,
     /// Sent when the state changes: it holds until the next one.
     Changes,
-    /// Each says that something happened.
+    /// Each message means that something happened.
     Events,
 }
 
-/// How a value is made of a field.
+/// The conversion of a field to a value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ValueRule {
     /// The field as a number; the length of an array.
     Number,
     /// The field as a word, by a table; other words are left out.
     Table(BTreeMap<String, String>),
-    /// One value, whatever the message says.
+    /// One value, whatever the message contains.
     Same(f64),
 }
 
 /// Observations of states, from a field of a topic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateRule {
-    /// Where the value is.
+    /// The place of the value.
     pub place: FieldPlace,
     /// Name of the state.
     pub state: Template,
     /// Kind of the state.
     pub kind: ValueKind,
-    /// What the messages are.
+    /// The meaning of the messages.
     pub reports: Reports,
-    /// How a value is made.
+    /// The conversion to a value.
     pub value: ValueRule,
 }
 
@@ -291,7 +291,7 @@ impl StateRule {
 /// Observations of positions, from a field with x, y and z.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositionRule {
-    /// Where the point or the pose is.
+    /// The place of the point or the pose.
     pub place: FieldPlace,
     /// Name of the vector.
     pub state: Template,
@@ -340,7 +340,7 @@ pub struct TraversalRule {
     pub to: Path,
     /// Field with the duration in seconds; the message was sent at the end.
     pub seconds: Path,
-    /// Field that says how it ended.
+    /// Field that contains how it ended.
     pub status: Path,
     /// Words of the status, in small letters, that mean success.
     pub success: Vec<String>,

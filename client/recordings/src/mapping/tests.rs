@@ -1,4 +1,4 @@
-//! Mappings as people write them, and what is said of wrong ones.
+//! Mappings as people write them, and the errors for wrong ones.
 
 use super::*;
 

@@ -1,7 +1,7 @@
 //! MCAP files that the tests write.
 //!
-//! Invariant: whole files come from another implementation of the format; only what it cannot write is put together
-//! here.
+//! Invariant: whole files come from another implementation of the format; only files that it cannot write are put
+//! together here.
 
 use std::{collections::BTreeMap, io::Cursor};
 

@@ -1,6 +1,6 @@
 //! A place in the bytes of a message, and how primitive values are laid out there.
 //!
-//! Invariant: nothing is read behind the end, and no length is believed before the bytes are there.
+//! Invariant: nothing is read behind the end, and no length is trusted before the bytes are there.
 
 use super::{MessageError, Numbers, VALUES_MAX, Value};
 use crate::definition::Primitive;
@@ -9,7 +9,7 @@ use crate::definition::Primitive;
 pub(super) struct MessageCursor<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where alignment counts from, and the largest alignment; `None`: values are packed, as in ROS 1.
+    /// The position from which alignment counts, and the largest alignment; `None`: values are packed, as in ROS 1.
     alignment: Option<(usize, usize)>,
     is_big_endian: bool,
     values: usize,
@@ -118,7 +118,7 @@ impl<'a> MessageCursor<'a> {
     }
 }
 
-/// The number that bytes are; 0 if their count is not that of the type.
+/// The number that the bytes encode; 0 if their count is not the size of the type.
 pub(super) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
     macro_rules! read {
         ($type:ty) => {{

@@ -18,9 +18,9 @@ pub enum PathError {
     /// There is no such field.
     #[error("{type_name} has no field {name:?}; it has {fields}")]
     Missing {
-        /// The type that was looked in.
+        /// The type in which the name was searched.
         type_name: String,
-        /// The name that was looked for.
+        /// The name that was searched.
         name: String,
         /// The fields of the type.
         fields: String,
@@ -54,7 +54,7 @@ impl Path {
     /// Checks the path against a layout, and gives the field at its end.
     ///
     /// # Errors
-    /// There is no such field, or an index is missing or one too many.
+    /// There is no such field, or an index is missing or superfluous.
     pub fn field_in<'l>(&self, layout: &'l Structure) -> Result<&'l LaidField, PathError> {
         let mut structure = layout;
         let mut steps = self.0.iter().peekable();

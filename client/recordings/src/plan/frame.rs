@@ -7,23 +7,24 @@ use nalgebra::Vector3;
 use super::{GridUse, PlanError, TopicPlan, has_moving_link};
 use crate::survey::{Surveyed, TopicSurvey};
 
-/// How the frame was chosen.
+/// The reason for the choice of the frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameChoice {
-    /// It was asked for.
+    /// The user chose it.
     Asked,
     /// By its name: `map`, else `odom`.
     Usual,
-    /// It is the root above the sensors.
+    /// The frame is the root above the sensors.
     Root,
     /// No transforms are needed: it is the frame of the messages.
     OfMessages,
-    /// There is none.
+    /// There is no frame.
     #[default]
     None,
 }
 
-/// At how many times sensors are looked at, and the cosine of the angle from which on they lean, 5 degrees.
+/// The number of times at which sensors are checked, and the cosine of the angle from which on a sensor counts as
+/// leaning, 5 degrees.
 const LOOKS: u32 = 50;
 const LEVEL_COSINE: f64 = 0.996_2;
 
@@ -45,8 +46,8 @@ pub(super) fn choose(
         }
         return Err(PlanError::NoFrame { frame: asked.to_owned(), frames: names(surveyed) });
     }
-    // Sensors move: for them the frame must be another one than their own. They come first, because without a place
-    // nothing is made of them.
+    // Sensors move: the frame must be another one than their own frame. Sensors come first, because without a place no
+    // observation is made of their messages.
     let moves = |plan: &TopicPlan| matches!(plan.grid, Some(GridUse::Scans | GridUse::Clouds));
     for is_sensor in [true, false] {
         let topics = || placed().filter(|(_, plan)| moves(plan) == is_sensor).map(|(topic, _)| topic);

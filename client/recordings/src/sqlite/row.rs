@@ -39,7 +39,7 @@ impl TableRow {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The number that the table knows the row by.
+    /// The number of the row in the table.
     pub(crate) fn number(&self) -> i64 {
         self.number
     }
@@ -49,12 +49,12 @@ impl TableRow {
         self.stated
     }
 
-    /// The first page of those in which the row goes on.
+    /// The first page on which the row continues.
     pub(super) fn overflow(&self) -> u32 {
         self.overflow
     }
 
-    /// How many bytes stand in other pages; `None` if that is more than memory can hold.
+    /// The number of bytes that stand in other pages; `None` if that is more than memory can hold.
     pub(super) fn missing(&self) -> Option<usize> {
         usize::try_from(self.stated.saturating_sub(self.bytes.len() as u64)).ok()
     }

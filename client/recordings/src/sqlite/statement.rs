@@ -2,7 +2,7 @@
 //!
 //! Invariant: any text gives some columns, perhaps none; never a panic.
 
-/// The names of the columns, and which of them stands for the number of the row.
+/// The names of the columns, and the index of the column that is an alias of the row number.
 pub(super) fn columns(sql: &str) -> (Vec<String>, Option<usize>) {
     let (mut names, mut row_number, mut keys) = (Vec::new(), None, Vec::new());
     let mut integers = Vec::new();
@@ -11,7 +11,7 @@ pub(super) fn columns(sql: &str) -> (Vec<String>, Option<usize>) {
         let Some(name) = part.first() else { continue };
         let is_key = words.windows(2).any(|pair| pair[0] == "PRIMARY" && pair[1] == "KEY");
         match words[0].as_str() {
-            // A quote before the word says that it is a name.
+            // A quote before the word means that it is a name.
             "PRIMARY" | "UNIQUE" | "CHECK" | "FOREIGN" | "CONSTRAINT" => {
                 if is_key {
                     keys = part;

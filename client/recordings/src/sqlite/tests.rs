@@ -1,6 +1,6 @@
 //! Databases that the tests write.
 //!
-//! Invariant: a written database has small pages and narrow trees, so few rows need many of them.
+//! Invariant: a written database has small pages and narrow trees, so that a few rows need many pages.
 
 use std::io::Cursor;
 
@@ -250,7 +250,7 @@ fn a_row_that_goes_on_in_circles_is_broken() {
     let mut bytes = written(&vec![(1, vec![Cell::Null, Cell::Bytes(vec![1; 30_000])])]);
     let stated = written_varint(written_record(&[Cell::Null, Cell::Bytes(vec![1; 30_000])]).len() as u64);
     let cell = bytes.windows(3).position(|bytes| bytes == stated).unwrap();
-    // As many bytes in the leaf, and a thousand pages more.
+    // The stated length has as many bytes in the leaf, and a thousand pages more.
     let mut rest = &stated[..];
     let longer = varint(&mut rest).unwrap() + 1000 * (PAGE_BYTES as u64 - 4);
     bytes[cell..cell + 3].copy_from_slice(&written_varint(longer));
@@ -289,7 +289,7 @@ fn headers_that_are_not_read_say_why() {
 #[test]
 fn a_row_above_the_limit_is_refused_before_it_is_read() {
     let mut bytes = written(&vec![(1, vec![Cell::Null, Cell::Bytes(vec![1; 5_000])])]);
-    // The row's length, two bytes long, becomes one of nine bytes over the number of the row.
+    // The row's length, two bytes long, becomes a length of nine bytes, which overwrites the number of the row.
     let leaf = bytes.chunks(PAGE_BYTES).rposition(|page| page[0] == LEAF && page[4] == 1).unwrap() * PAGE_BYTES;
     let cell = leaf + usize::from(u16::from_be_bytes([bytes[leaf + 8], bytes[leaf + 9]]));
     bytes[cell..cell + 9].copy_from_slice(&[0x80, 0x80, 0x80, 0x80, 0x90, 0x80, 0x80, 0x80, 0x00]);

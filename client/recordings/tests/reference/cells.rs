@@ -1,6 +1,6 @@
 //! Scans, clouds and poses of real recordings in their places against an independent computation.
 //!
-//! Invariant: what is compared comes out of the converter, as an import takes it.
+//! Invariant: the compared data comes out of the converter, as an import takes it.
 
 use std::{collections::BTreeSet, path::Path, sync::Arc};
 
@@ -18,7 +18,7 @@ use super::{beside, kind};
 
 const CELL_M: f64 = 0.1;
 
-/// Keeps what the messages of one topic become.
+/// Keeps the observations made of the messages of one topic.
 struct Kept {
     converter: Converter,
     topic: usize,
@@ -56,7 +56,7 @@ fn items(path: &Path, surveyed: &Arc<Surveyed>, plan: Plan, topic: &str) -> Vec<
     kept.items
 }
 
-/// The end points of what was made, in the fixed frame.
+/// The end points of the scans and clouds, in the fixed frame.
 fn ends(made: &Made) -> Vec<Point3<f64>> {
     match made {
         Made::Scan(scan) => {

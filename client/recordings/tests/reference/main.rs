@@ -1,6 +1,6 @@
-//! Recordings of real robots against what other programs read in them: topics, counts, first and last times.
+//! Compares recordings of real robots with the output of other programs: topics, counts, first and last times.
 //!
-//! Invariant: the recordings lie beside the repository; without them the tests are skipped and say so.
+//! Invariant: the recordings lie beside the repository; without them the tests are skipped and print a message.
 
 use std::{collections::BTreeMap, fs::File, path::Path};
 
@@ -52,7 +52,7 @@ fn counted(path: &Path) -> (Counts, Ending) {
     (counts, ending.unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// What the reference says of a recording; topics without messages are left out.
+/// The topics of a recording in the reference; topics without messages are left out.
 fn reference(bags: &Path, name: &str) -> BTreeMap<String, Found> {
     let text = std::fs::read_to_string(bags.join("reference").join(format!("{name}.json"))).expect("a reference");
     let value: Value = serde_json::from_str(&text).expect("JSON");

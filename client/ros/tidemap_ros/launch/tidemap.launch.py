@@ -8,7 +8,7 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
-    """What ``ros2 launch`` starts."""
+    """The parts that ``ros2 launch`` starts."""
     usual = PathJoinSubstitution([FindPackageShare("tidemap_ros"), "config", "tidemap.yaml"])
     return LaunchDescription([
         DeclareLaunchArgument("parameters", default_value=usual, description="file of parameters"),
@@ -18,7 +18,7 @@ def generate_launch_description() -> LaunchDescription:
             package="tidemap_ros", executable="tidemap_node", name="tidemap", output="screen",
             namespace=LaunchConfiguration("namespace"),
             parameters=[LaunchConfiguration("parameters"), {"use_sim_time": LaunchConfiguration("use_sim_time")}],
-            # What was observed is on the disk; a node that ended goes on from there.
+            # Observations are on the disk; a node that ended goes on from there.
             respawn=True, respawn_delay=5.0,
         ),
     ])

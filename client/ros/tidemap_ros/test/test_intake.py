@@ -1,4 +1,4 @@
-"""What messages become: with their transform, after waiting, or left out and counted."""
+"""The records that messages become: with their transform, after waiting, or left out and counted."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def test_the_kind_of_a_new_state_is_that_of_its_values(daemon, link):
 
 def test_orders_are_compared_with_what_was_seen(daemon, link):
     fremen = Fremen(link, "office", "ros-fremen", 0.0)
-    # The mean is 0.25, so that order 0 to 2 say no, and from 3 on yes.
+    # The mean is 0.25, so that orders 0 to 2 predict 0, and orders from 3 on predict 1.
     fremen.answer(goal("add", id="door", times=[1, 2, 3, 4], states=[True, False, False, False]))
     compared = fremen.answer(goal("evaluate", id="door", times=[5, 6, 7, 8], states=[True] * 3 + [False], order=20))
     assert compared.success == 3 and len(compared.errors) == 21
@@ -199,7 +199,7 @@ def test_rhythms_are_told_by_the_clock_of_the_goals(daemon, link):
     seen = fremen.answer(goal("view", id="door", order=2))
     assert daemon.updates == 1 and seen.success == 2
     assert seen.probabilities == [math.inf, 86_400.0, math.inf] and seen.entropies == [1.0, 0.2, 0.0]
-    # An hour ahead of UTC in winter.
+    # The zone is UTC+1 in winter.
     assert seen.errors[1] == pytest.approx(-1.0 - 2 * math.pi / 24)
     assert len(fremen.answer(goal("view", id="door", order=-1)).errors) == 2
 
@@ -252,7 +252,7 @@ def test_edges_are_built_predicted_and_drawn_over_time(daemon, link):
     frenap, told = Frenap(link, "office", lambda: NOON), []
     built = frenap.answer(edges_goal("build"), told.append)
     assert built.success and built.names == ["a->b", "b->c/lift"] and daemon.updates == 1 and len(told) == 3
-    # Of four runs one failed; 40, 20 and 13.3 seconds were driven, and 20 are expected.
+    # One of four runs failed; 40, 20 and 13.3 seconds were driven, and 20 are expected.
     assert built.probabilities == [0.25, 0.0] and built.durations == pytest.approx([(20 + 0 + 20 / 3) / 3, 0.0])
     found = frenap.answer(edges_goal("predict", predictionTime=NOON, resultOrder=1), told.append)
     assert found.names == ["a->b", "b->c/lift", "c->a"]

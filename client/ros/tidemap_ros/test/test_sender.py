@@ -18,7 +18,7 @@ MEGABYTE = 1 << 20
 
 
 class Daemon:
-    """Keeps what was sent, by its number, as a daemon does."""
+    """Keeps the records that were sent, by number, as a daemon does."""
 
     def __init__(self) -> None:
         self.kept: dict[int, object] = {}
@@ -159,7 +159,7 @@ def test_a_daemon_that_goes_and_comes_gets_the_rest(tmp_path):
     for number in range(1, 6):
         spool.append(value(number))
     until(lambda: len(daemon.kept) == 5)
-    # It lost the last two: they were not acknowledged.
+    # The daemon lost the last two records: they were not acknowledged.
     daemon.is_there = False
     until(lambda: not thread.state.connected)
     del daemon.kept[4], daemon.kept[5]

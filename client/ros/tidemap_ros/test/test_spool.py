@@ -1,4 +1,4 @@
-"""The spool: numbers, restarts, torn ends, limits, and what the daemon has."""
+"""The spool: numbers, restarts, torn ends, limits, and the state of the daemon."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_fresh_folder_goes_on_behind_what_the_daemon_has(tmp_path):
     spool.linked(500)
     assert spool.offset == 500 and spool.first == 1 and spool.lost == 0
     spool.close()
-    # The record was sent as 501, and the daemon has it: it goes.
+    # The record was sent as 501, and the daemon has it: it is removed.
     again = Spool(tmp_path, MEGABYTE)
     again.linked(501)
     assert again.offset == 500
@@ -157,7 +157,7 @@ def test_records_that_a_power_cut_took_do_not_hide_new_ones(tmp_path):
     again = Spool(tmp_path, MEGABYTE)
     again.linked(3)
     assert number + again.offset == 4 and again.read(None, number)[0] == b"new"
-    # And so it stays.
+    # The state stays so.
     again.close()
     last = Spool(tmp_path, MEGABYTE)
     last.linked(3)

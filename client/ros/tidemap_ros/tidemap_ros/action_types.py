@@ -1,7 +1,7 @@
-"""The types of the actions of fremenserver and frenap: those that are installed, else made at run time by genpy.
+"""The types of the actions of fremenserver and frenap: the installed ones, else types made at run time by genpy.
 
-Invariant: types that are made here have the fields, in name, type and order, of the published definitions, so their
-sums are those that clients built with catkin have. ROS refuses a client whose sum differs.
+Invariant: types that are made here have the fields, in name, type and order, of the published definitions, so that
+their checksums are equal to those of clients built with catkin. ROS refuses a client whose sum differs.
 """
 
 from __future__ import annotations
@@ -91,14 +91,14 @@ def generated(definition: Definition) -> dict[str, Any]:
     from std_msgs.msg import Header
 
     standard = {
-        # Their texts end with those of the types that they use, which are here already.
+        # The texts of the definitions end with the types that they use, which are here already.
         kind._type: kind._full_text.split("=" * 80)[0].rstrip() for kind in (Header, GoalID, GoalStatus)
     }
     return dict(generate_dynamic(definition.type_name, definition.text(standard)))
 
 
 def action(definition: Definition, log: Callable[[str], object]) -> Any:
-    """The class of the action: that of its package if it is installed, else one that is made here."""
+    """The class of the action: from its package if that is installed, else a class that is made here."""
     without = f"the types of {definition.type_name} are made at run time"
     installed = optional.found(f"{definition.package}.msg", f"{definition.name}Action", without, log)
     return generated(definition)[definition.type_name] if installed is None else installed

@@ -1,6 +1,6 @@
 """The action servers of fremenserver and frenap for ROS 1.
 
-Invariant: whatever a goal has in it, it ends with a result and a message, and the node goes on.
+Invariant: whatever a goal contains, it ends with a result and a message, and the node goes on.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from tidemap_ros.predecessors import FAILED
 
 SOONEST_SECS = 0.05
 """Clients of actionlib in Python lose a result that comes before their ``send_goal`` has returned, and wait for ever.
-The predecessors looked for goals every 30 ms, so that their clients seldom met this."""
+The predecessors polled for goals every 30 ms, so that their clients seldom met this."""
 
 
 class Actions:
-    """The servers that the parameters ask for."""
+    """The servers that the parameters select."""
 
     def __init__(self, settings: Settings, link: Link) -> None:
         self._servers: list[Any] = []
@@ -69,7 +69,7 @@ class Actions:
         running = server(name, kind, execute_cb=_not_at_once(execute), auto_start=False)
         running.start()
         self._servers.append(running)
-        # Clients of fremenserver build their models anew when they hear this.
+        # Clients of fremenserver build their models anew when they receive this.
         started = rospy.Publisher(f"{name}_start", Bool, queue_size=1, latch=True)
         started.publish(Bool(data=True))
         self._servers.append(started)
@@ -105,7 +105,7 @@ class Actions:
 
 
 def _not_at_once(execute: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Does it after a moment, see ``SOONEST_SECS``."""
+    """Runs the goal after a moment, see ``SOONEST_SECS``."""
 
     def later(goal: Any) -> None:
         time.sleep(SOONEST_SECS)

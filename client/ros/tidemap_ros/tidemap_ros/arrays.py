@@ -68,7 +68,7 @@ def points(cloud: Any) -> Points:
     found = np.empty((height * width, 3), dtype=np.float32)
     for axis, name in enumerate("xyz"):
         found[:, axis] = grid[name].ravel()
-    # A sum is finite only if all three are, but for numbers no sensor has.
+    # A sum is finite only if all three numbers are, except for numbers that no sensor has.
     finite = np.isfinite(found.sum(axis=1))
     return found if finite.all() else found[finite]
 
@@ -107,7 +107,7 @@ def one_in_each_cell(
         _, first = np.unique(flat, return_index=True)
         return xyz_m[np.sort(first)]
     numbers = np.arange(len(flat), dtype=np.int32)
-    # Only what is written here is read: of several points of a cell the first one stays.
+    # Only cells that are written here are read: if a cell has several points, the first one stays.
     table = np.empty(whole, dtype=np.int32)
     table[flat[::-1]] = numbers[::-1]
     kept: Points = xyz_m[table[flat] == numbers]
@@ -135,10 +135,10 @@ def in_cells_of_map(
 ) -> tuple[Cells, tuple[int, int, int]]:
     """A grid at any pose, in the cells of the map; and the index x, y, z of its first cell there.
 
-    A cell of the map gets what lies in it: occupied if anything there is, free if something is free and nothing
+    A cell of the map is occupied if anything in it is occupied, and free if something in it is free and nothing is
     occupied.
     """
-    # Cells that are larger than those of the map are divided, so that no cell of the map is left out between.
+    # Cells that are larger than the cells of the map are divided, so that no cell of the map is left out between.
     parts = max(1, math.ceil(resolution_m / map_resolution_m - 1e-6))
     turned = abs(math.sin(2 * poses.yaw_rad(corner))) > 1e-6
     if turned:

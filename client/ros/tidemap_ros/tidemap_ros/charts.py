@@ -1,7 +1,7 @@
 """The map at a time, in a region that does not change.
 
-Invariant: all charts of one node have the same cells, whatever was observed since. Rows go up, columns to the right, as
-in ``nav_msgs/OccupancyGrid``.
+Invariant: all charts of one node have the same cells, even if more was observed since. Rows go up, columns to the
+right, as in ``nav_msgs/OccupancyGrid``.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _ALL_LAYERS = (-(1 << 20), 1 << 20)
 
 
 class NoMap(Exception):
-    """There is nothing to show yet; the message says why."""
+    """There is nothing to show yet; the message states why."""
 
 
 def moment(words: str, now_nanos: int) -> int:
     """The time of words such as ``+2h``, nanoseconds. ``now_nanos`` is 0 before the first time on ``/clock``."""
     if now_nanos == 0 and clock_words.needs_now(words):
-        # Until then ROS says that it is 1970, of which nobody wants a map.
+        # Until then ROS time is in 1970, for which no user wants a map.
         raise NoMap("there is no time yet: use_sim_time is set, and nothing has come on /clock")
     return clock_words.nanos(words, now_nanos)
 
@@ -77,7 +77,7 @@ def grid_of(known: dict[str, Any]) -> MapGrid | None:
 
 
 def region_of(settings: Settings, known: dict[str, Any]) -> Region:
-    """The region of the parameter ``map_region``, or the one that the map has now."""
+    """The region of the parameter ``map_region``, or the region that the map has now."""
     grid = grid_of(known)
     if grid is None:
         raise NoMap(f"the map {settings.text('map')} has no grid")
@@ -99,7 +99,7 @@ def region_of(settings: Settings, known: dict[str, Any]) -> Region:
 
 
 class Charts:
-    """Asks the daemon for the map at times. ``client`` is a client of ``tidemap``."""
+    """Requests the map at given times from the daemon. ``client`` is a client of ``tidemap``."""
 
     def __init__(self, settings: Settings, client: Callable[[], Any]) -> None:
         self._settings = settings
@@ -138,7 +138,7 @@ class Charts:
         name, model = self._settings.text("map"), self._settings.text("model")
         found = self._client().grid(name, clock_words.stated(nanos), model=model, **options)
         if model == "auto" and found.generation == 0:
-            # Nothing is learned before the first nightly update; what was seen last is better than nothing.
+            # Nothing is learned before the first nightly update; the newest observations are better than nothing.
             found = self._client().grid(name, clock_words.stated(nanos), model="latest", **options)
         layer = np.asarray(found.values[0], dtype=np.float64)
         if layer.shape != (region.height, region.width):
@@ -153,7 +153,7 @@ class Charts:
         return arrays.percents(self.values(nanos, output))
 
     def people(self, nanos: int) -> Floats:
-        """How many people are expected in each cell of the region in the hour around a time."""
+        """The expected number of people in each cell of the region in the hour around a time."""
         region = self.region
         low = region.corner_m
         high = low[0] + region.width * region.resolution_m, low[1] + region.height * region.resolution_m
@@ -172,7 +172,7 @@ class Charts:
         return spread(header, counts, region)
 
     def check_growth(self) -> None:
-        """Looks whether the map has outgrown the region."""
+        """Checks whether the map has outgrown the region."""
         region = self.region
         known = self._client().call("MapService/GetMap", {"name": self._settings.text("map")})["map"]
         shown = (known.get("grid_summary") or {}).get("region") or {}

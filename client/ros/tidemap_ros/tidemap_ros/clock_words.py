@@ -47,7 +47,7 @@ def nanos(words: str, now_nanos: int) -> int:
 
 
 def needs_now(words: str) -> bool:
-    """Whether the time of these words depends on what time it is."""
+    """Whether the time of these words depends on the present time."""
     text = words.strip()
     return not text or text.startswith(("now", "+", "-"))
 

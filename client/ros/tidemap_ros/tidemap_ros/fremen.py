@@ -1,7 +1,7 @@
 """The operations of STRANDS' fremenserver, answered by tidemap; without ROS.
 
-Invariant: ``add`` and ``addvalues`` succeed only when the daemon has the readings on its disk, and a prediction knows
-all that was added before it. What an operation returns, and in which field, is as fremenserver has it.
+Invariant: ``add`` and ``addvalues`` succeed only when the daemon has the readings on its disk, and a prediction
+includes all readings that were added before it. An operation returns its results in the same fields as fremenserver.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tidemap_ros.predecessors import (
 )
 
 PATIENCE_SECS = 5.0
-"""How long an unreachable daemon is waited for, before readings are refused."""
+"""The time for which a call waits for an unreachable daemon, before readings are refused."""
 ORDER_ACCEPTED_MAX = 100
 """A higher order is refused, as fremenserver does."""
 BETTER_BY = 0.001
@@ -63,7 +63,7 @@ class Fremen:
         }
 
     def answer(self, goal: Any) -> Answer:
-        """The result of a goal, whatever it is."""
+        """The result of any goal."""
         operation = self._operations.get(goal.operation)
         if operation is None or (goal.operation == "detect" and not hasattr(goal, "confidence")):
             known = ", ".join(self._operations)
@@ -128,7 +128,7 @@ class Fremen:
     # Predictions
 
     def _predicted(self, names: list[str], seconds: Seconds, order: int) -> Floats:
-        """Predictions that know all that was added: fremenserver learns when it is told, tidemap in updates."""
+        """Predictions that include all added readings: fremenserver learns on request, tidemap in updates."""
         values, pending = self._states.predicted(names, seconds, order)
         if pending and self._monotonic() - self._learned_at >= self._period_secs:
             self._states.update()
@@ -244,7 +244,7 @@ class Fremen:
         return Answer(True, order, message, periods, amplitudes, phases)
 
     def _offset_secs(self, last_time: str | None) -> float:
-        """What the map's zone is ahead of UTC at a time: its rhythms are those of the clock on the wall."""
+        """The offset of the map's zone from UTC at a time: the rhythms of the map follow the wall clock."""
         zone = str(self._link.map()["time_zone"])
         if zone == "UTC" or not last_time:
             return 0.0

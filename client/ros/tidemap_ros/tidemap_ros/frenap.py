@@ -21,7 +21,7 @@ from tidemap_ros.predecessors import (
 )
 
 BATCH = 1000
-"""States that one request asks for."""
+"""The number of states of one request."""
 NOT_COMPARED = -1.0
 
 
@@ -38,7 +38,7 @@ class EdgesAnswer:
 
 @dataclass(frozen=True)
 class Edge:
-    """An edge of the topology, with what is expected of it where nothing was reported."""
+    """An edge of the topology, with the values that are expected if nothing was reported."""
 
     start: str
     end: str
@@ -55,12 +55,12 @@ class Edge:
         return f"{self.start}->{self.end}" + (f"/{self.action}" if self.action else "")
 
     def is_called(self, name: str) -> bool:
-        """Whether a client means this edge: by frenap's name, or by that of topological_navigation."""
+        """Whether a client means this edge: by frenap's name, or by the name of topological_navigation."""
         return name in (self.name, f"{self.start}_{self.end}")
 
     @property
     def path(self) -> str:
-        """Its part of the names of its states."""
+        """The part of the state names that names the edge."""
         return "/".join(part for part in (self.start, self.end, self.action) if part)
 
     @property
@@ -70,7 +70,7 @@ class Edge:
 
     @property
     def pace(self) -> tuple[str, float] | None:
-        """The state of how fast it is, and what is divided by its value to have seconds."""
+        """The state of the pace of the edge, and the number that is divided by its value to give seconds."""
         if self.length_m is not None:
             return f"speed/{self.path}", self.length_m
         return None if self.nominal_secs is None else (f"pace/{self.path}", self.nominal_secs)
@@ -83,7 +83,7 @@ class Frenap:
         self._link, self._states, self._now = link, States(link, map_name), now
 
     def answer(self, goal: Any, tell: Callable[[str], object]) -> EdgesAnswer:
-        """The result of a goal, whatever it is; ``tell`` takes what is being done."""
+        """The result of a goal, whatever it is; ``tell`` receives progress messages."""
         try:
             if goal.action == "build":
                 return self._build(goal, tell)
@@ -118,7 +118,7 @@ class Frenap:
         return found
 
     def _build(self, goal: Any, tell: Callable[[str], object]) -> EdgesAnswer:
-        """Learns, and says how well the models of the edges fit what they were learned from."""
+        """Learns, and returns how well the models of the edges fit the data from which they were learned."""
         tell("The map learns what was reported.")
         self._states.update()
         edges = [edge for edge in self._edges(int(self._now())) if edge.reports]
@@ -221,7 +221,7 @@ class Frenap:
 
 
 def _seconds_of(edge: Edge, paces: Floats) -> Floats:
-    """Durations of an edge; where its model says nothing that can be, what the map expects of it."""
+    """Durations of an edge; where its model gives no possible value, the expectation of the map."""
     assert edge.pace is not None
     with np.errstate(divide="ignore", invalid="ignore"):
         seconds = edge.pace[1] / paces

@@ -1,6 +1,7 @@
-"""Nav2's route graph beside the topology of the map, and what to tell the route server.
+"""Nav2's route graph beside the topology of the map, and the changes for the route server.
 
-Invariant: an edge of the graph stands for at most one edge of the topology, by the names or the places of its nodes.
+Invariant: an edge of the graph corresponds to at most one edge of the topology, by the names or the places of its
+nodes.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class RouteGraph:
         return cls(nodes, edges)
 
     def names(self, topology: list[Node], within_m: float) -> dict[int, str]:
-        """Of nodes of the graph, their names in the topology: the same name, or else the nearest node."""
+        """The names of nodes of the graph in the topology: the same name, or else the nearest node."""
         by_name = {node.name for node in topology}
         placed = [node for node in topology if node.x_m is not None and node.y_m is not None]
         found: dict[int, str] = {}
@@ -97,7 +98,7 @@ class RouteGraph:
         return found
 
     def ends(self, names: dict[int, str]) -> dict[int, tuple[str, str]]:
-        """Of edges of the graph, the names of their ends in the topology."""
+        """The names of the ends of edges of the graph in the topology."""
         return {
             edge.number: (names[edge.start], names[edge.end])
             for edge in self.edges.values() if edge.start in names and edge.end in names
@@ -106,7 +107,7 @@ class RouteGraph:
 
 @dataclass(frozen=True)
 class Repricing:
-    """What to tell the route server."""
+    """The changes for the route server."""
 
     closed: list[int]
     opened: list[int]
@@ -117,15 +118,15 @@ class Repricing:
 def repricing(
     ends: dict[int, tuple[str, str]], predicted: list[dict[str, Any]], closed_below: float, closed_before: set[int],
 ) -> Repricing:
-    """The edges to close, to open again and to reprice, of the edges that ``PredictEdges`` foretells.
+    """The edges to close, to open again and to reprice, of the edges that ``PredictEdges`` predicts.
 
-    The cost is the duration divided by the probability of success: what an edge costs if it is tried until it works.
+    The cost is the duration divided by the probability of success: the cost of an edge that is tried until it works.
     """
     known: dict[tuple[str, str], tuple[float, float]] = {}
     for edge in predicted:
         pair = edge["edge"]["from"], edge["edge"]["to"]
         success, secs = float(edge["success"]), float(edge["duration_secs"])
-        # Of several actions of an edge, the best: the robot would take it.
+        # The best of several actions of an edge: the robot would take it.
         if pair not in known or secs / max(success, 1e-6) < known[pair][1] / max(known[pair][0], 1e-6):
             known[pair] = success, secs
     closed, costs = [], []

@@ -1,6 +1,6 @@
-"""What diagnostics say.
+"""The content of diagnostics.
 
-Invariant: whatever was lost, left out or refused is a number here, and its level is not OK.
+Invariant: every lost, omitted or refused item is counted here, and the level is then not OK.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Status:
 
 
 def of_sending(state: SenderState, now_nanos: int, server: str) -> Status:
-    """Whether the daemon takes what is sent."""
+    """Whether the daemon takes the records that are sent."""
     found = Status("daemon", OK, f"connected to {server}")
     if not state.connected:
         found.level, found.message = ERROR, f"not connected, all is kept: {state.error or 'connecting'}"
@@ -46,7 +46,7 @@ def of_sending(state: SenderState, now_nanos: int, server: str) -> Status:
 
 
 def of_spool(folder: str, used: int, bytes_max: int, counts: Counts, lost: int, cut_bytes: int) -> Status:
-    """How full the spool is."""
+    """The fill level of the spool."""
     found = Status("spool", OK, f"{used / 1e6:.1f} of {bytes_max / 1e6:.1f} MB")
     if counts.spool_refused:
         found.level = ERROR
@@ -67,7 +67,7 @@ def of_spool(folder: str, used: int, bytes_max: int, counts: Counts, lost: int, 
 
 
 def of_intake(counts: Counts, waiting: int) -> Status:
-    """What became of messages."""
+    """The counts of messages."""
     found = Status("observations", OK, f"{counts.taken} taken")
     if counts.left_out:
         found.level, found.message = WARN, f"{counts.left_out} left out; the last: {counts.last_problem}"
@@ -85,7 +85,7 @@ def of_intake(counts: Counts, waiting: int) -> Status:
 
 
 def of_output(name: str, error: str | None, published: int, *, is_cut: bool = False) -> Status:
-    """Whether what is published is of now."""
+    """Whether the published data is of now."""
     if error is not None:
         return Status(name, WARN, error, {"published": str(published)})
     if is_cut:

@@ -63,7 +63,7 @@ class Inputs:
                 kind, topic, callback, qos, callback_group=self._group, event_callbacks=events
             )
         except UnsupportedEventTypeError:
-            # This middleware does not tell what it loses.
+            # This middleware does not report its losses.
             self._node.create_subscription(kind, topic, callback, qos, callback_group=self._group)
 
     def _retry(self) -> None:
@@ -112,7 +112,8 @@ class Inputs:
     # Navigators
 
     def ends(self) -> dict[int, tuple[str, str]]:
-        """Of edges of the route graph, the nodes of the topology; asks the daemon until it has answered once."""
+        """The nodes of the topology at the ends of edges of the route graph; requests them from the daemon until it has
+        answered once."""
         if self._ends is None and self.graph is not None:
             asked = {"map": self._settings.text("map")}
             nodes = self._link.client.call("TopologyService/GetTopology", asked)["nodes"]
@@ -130,7 +131,7 @@ class Inputs:
         return self._ends or {}
 
     def forget_ends(self) -> None:
-        """The topology may have changed: the daemon is asked again."""
+        """The topology may have changed: it is requested from the daemon again."""
         self._ends = None
 
     def _navigators(self) -> None:

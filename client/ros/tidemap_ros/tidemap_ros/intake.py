@@ -1,6 +1,6 @@
-"""What messages become: records, once their transform is known.
+"""Converts messages to records, once their transform is known.
 
-Knows nothing of rclpy: messages are read by the names of their fields, and the node calls these methods.
+This module does not use rclpy: messages are read by the names of their fields, and the node calls these methods.
 
 Invariant: every message that arrives is counted exactly once: as taken, waiting for a transform, left out for a reason
 that diagnostics shows, or thinned out by a parameter.
@@ -34,14 +34,14 @@ DOOR_CLOSED, DOOR_OPEN = 0, 2
 
 @dataclass
 class Counts:
-    """What became of messages."""
+    """The counts of messages."""
 
     taken: int = 0
     thinned: int = 0
     left_out: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
     never_arrived: int = 0
-    """Messages that ROS says it has lost before the node had them."""
+    """Messages that ROS reports as lost before the node had them."""
     spool_refused: int = 0
     """Observations that the spool had no room for: lost."""
     last_problem: str = ""
@@ -81,7 +81,7 @@ class Intake:
         self._monotonic = monotonic
         self._log = log
         self.grid_of_map: Callable[[], MapGrid | None] = lambda: None
-        """The grid of the map, once the daemon has told it."""
+        """The grid of the map, once the daemon has sent it."""
         self._lock = threading.RLock()
         self._counts = Counts()
         self._waiting: deque[_Waiting] = deque()
@@ -90,7 +90,7 @@ class Intake:
 
     @property
     def counts(self) -> Counts:
-        """What became of messages until now."""
+        """The counts of messages until now."""
         with self._lock:
             copied = Counts(**vars(self._counts))
             copied.reasons = dict(self._counts.reasons)
@@ -160,7 +160,7 @@ class Intake:
         self._placed(message, stamp, made)
 
     def _thinned(self, points: arrays.Points, pose: Pose) -> arrays.Points:
-        """One point for each cell of the map, or as the parameter ``cloud_cell`` says."""
+        """One point for each cell of the map, or as the parameter ``cloud_cell`` states."""
         edge, grid = self._settings.number("cloud_cell"), self.grid_of_map()
         if edge < 0 or (edge == 0 and grid is None):
             return points
@@ -238,10 +238,10 @@ class Intake:
                 self._log(f"ROS lost {count} messages before they arrived: raise queue_depth, or set reliable")
             self._counts.never_arrived += max(count, 0)
 
-    # What becomes of them
+    # Results of messages
 
     def retry(self) -> None:
-        """Takes what has its transform now; leaves out what waited for too long."""
+        """Takes the messages that have their transform now; leaves out messages that waited for too long."""
         with self._lock:
             kept: deque[_Waiting] = deque()
             while self._waiting:

@@ -1,6 +1,6 @@
 """The daemon, as the node needs it.
 
-Invariant: nothing connects before it is asked for. A daemon that cannot be reached costs an exception, not the node.
+Invariant: nothing connects before a caller needs it.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Link:
 
     @property
     def producer_name(self) -> str:
-        """Who observes."""
+        """The name of the producer."""
         return self._settings.text("producer") or socket.gethostname()
 
     def ensure_map(self) -> None:
-        """Creates the map where the parameters say so."""
+        """Creates the map if the parameters say so."""
         if self._is_there or not self._settings.flag("create_map"):
             return
         settings = self._settings
@@ -53,7 +53,7 @@ class Link:
         self._is_there = True
 
     def open_producer(self) -> Producer:
-        """An open producer; raises what the daemon, or the lack of it, says."""
+        """An open producer; raises the error of the daemon, or of the missing connection."""
         self.ensure_map()
         # Times are numbers of nanoseconds, which have no zone.
         return self.client.producer(

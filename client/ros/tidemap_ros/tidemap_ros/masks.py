@@ -26,8 +26,8 @@ def keepout(values: npt.NDArray[np.floating[Any]], out_from: float) -> Cells:
 
 
 def speed(values: npt.NDArray[np.floating[Any]], full_at: float, slowest_percent: float) -> Cells:
-    """How many percent of the speed are taken: none where the value is 0, all but ``slowest_percent`` from ``full_at``
-    on, and in proportion between.
+    """The percentage by which the speed is reduced: 0 where the value is 0, all but ``slowest_percent`` from
+    ``full_at`` on, and in proportion between.
 
     0 is "no limit" for Nav2, and a limit of 0 percent would be no limit, too: the robot keeps at least 1 percent.
     """
@@ -39,7 +39,7 @@ def speed(values: npt.NDArray[np.floating[Any]], full_at: float, slowest_percent
 
 @dataclass(frozen=True)
 class MaskKind:
-    """What a mask is for."""
+    """The purpose of a mask."""
 
     name: str
     filter_type: int

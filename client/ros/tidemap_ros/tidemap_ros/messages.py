@@ -1,4 +1,4 @@
-"""Messages of ROS, made from what the other modules compute.
+"""Messages of ROS, made from the results of the other modules.
 
 Invariant: nothing is decided here.
 """

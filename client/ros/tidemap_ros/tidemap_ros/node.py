@@ -1,6 +1,6 @@
-"""The node ``tidemap``: what it is made of, and its start and end.
+"""The node ``tidemap``: its parts, its start and its end.
 
-Invariant: what was taken before the end is on the disk when the node has ended.
+Invariant: messages that were taken before the end are on the disk when the node has ended.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tidemap_ros.spool import Spool, SpoolError
 from tidemap_ros.transforms import Transforms
 
 CHANGEABLE = ("map_time", "map_output")
-# One for what arrives, one for what is published, and one each for services and diagnostics.
+# One thread for arriving messages, one for publishing, and one each for services and diagnostics.
 THREADS = 4
 ENDS_WITHIN_SECS = 0.2
 
@@ -112,7 +112,7 @@ class TidemapNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(messages.diagnostics(self.get_name(), statuses, self._settings.text("map"), stamp))
 
     def close(self) -> None:
-        """Ends what was started. What waits stays on the disk."""
+        """Ends the started parts. Waiting records stay on the disk."""
         if self._sender is not None and self._sender.is_alive():
             self._sender.stop()
         if self._spool is not None:
@@ -120,7 +120,7 @@ class TidemapNode(Node):  # type: ignore[misc]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the node until it is told to end."""
+    """Runs the node until a signal or ROS ends it."""
     ending = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ending.set())

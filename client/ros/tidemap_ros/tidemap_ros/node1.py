@@ -1,9 +1,9 @@
 """The node for ROS 1: scans, clouds, grids, values and traversals in, the map of any time out.
 
-It has the parameters of the node for ROS 2, as private ones: ``python3 -m tidemap_ros.node1 _map:=office``. Masks,
-markers and Nav2 are not in it; the actions of fremenserver and frenap are.
+The node has the parameters of the node for ROS 2, as private ones: ``python3 -m tidemap_ros.node1 _map:=office``.
+Masks, markers and Nav2 are not in it; the actions of fremenserver and frenap are.
 
-Invariant: what was taken before the end is on the disk when the node has ended.
+Invariant: messages that were taken before the end are on the disk when the node has ended.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ class Node:
             self._diagnostics.publish(message)
 
     def close(self) -> None:
-        """Ends what was started. What waits stays on the disk."""
+        """Ends the started parts. Waiting records stay on the disk."""
         self._is_ending.set()
         for thread in self._threads:
             thread.join(2.0)
@@ -220,7 +220,7 @@ class Node:
 
 
 def main() -> int:
-    """Runs the node until it is told to end."""
+    """Runs the node until ROS ends it."""
     rospy.init_node("tidemap")
     try:
         node = Node()

@@ -1,6 +1,6 @@
 """Types of packages that a robot may not have.
 
-Invariant: a package that is not installed costs what needs it, and a line in the log; nothing else.
+Invariant: a package that is not installed disables the parts that need it, and gives a line in the log; nothing else.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 def found(module: str, name: str, without: str, log: Callable[[str], object]) -> Any:
     """``name`` of ``module``, such as ``FeedbackMessage`` of a nested one by dots; ``None`` where it is not installed.
 
-    ``without`` says what there is not, then.
+    ``without`` names what is missing then.
     """
     try:
         value: Any = importlib.import_module(module)

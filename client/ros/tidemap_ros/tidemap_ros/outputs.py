@@ -1,6 +1,6 @@
-"""What the node publishes and answers.
+"""The publications and services of the node.
 
-Invariant: an output that fails is tried again, told in diagnostics, and stops no other one.
+Invariant: an output that fails is tried again, reported in diagnostics, and stops no other one.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Outputs:
 
     @property
     def statuses(self) -> list[health.Status]:
-        """What diagnostics say of the outputs."""
+        """The diagnostics of the outputs."""
         return [
             health.of_output(task.name, task.error, task.done, is_cut=task.name == "map" and self.charts.grown_beyond)
             for task in self.tasks
@@ -135,7 +135,7 @@ class Outputs:
         return response
 
     def _get_map_at(self, request: LoadMap.Request, response: LoadMap.Response) -> LoadMap.Response:
-        """The map at the time that ``map_url`` says, as ``+2h`` or ``2026-01-05T12:00:00Z?entropy``."""
+        """The map at the time of ``map_url``, such as ``+2h`` or ``2026-01-05T12:00:00Z?entropy``."""
         words, _, output = str(request.map_url).partition("?")
         try:
             if output not in OUTPUTS_OF_WORDS:

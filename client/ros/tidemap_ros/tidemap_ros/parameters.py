@@ -16,7 +16,7 @@ Setting = Union[str, bool, int, float, list[str], list[float]]
 
 
 class BadParameter(ValueError):
-    """A parameter that the node cannot work with; the message says what to do."""
+    """A parameter that the node cannot work with; the message states what to do."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ class Settings:
         return float(value)
 
     def flag(self, name: str) -> bool:
-        """Whether it is set."""
+        """Whether the flag is set."""
         return bool(self._values[name])
 
     def texts(self, name: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Rigid transforms in three dimensions.
 
 Invariant: a pose is seven floats, x, y, z in metres and a quaternion x, y, z, w of length 1. ``a_from_b`` takes
-coordinates of the frame b to those of the frame a.
+coordinates of the frame b to coordinates of the frame a.
 """
 
 from __future__ import annotations

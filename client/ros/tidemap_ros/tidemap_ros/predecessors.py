@@ -1,4 +1,4 @@
-"""What the servers of both predecessors share: predictions by a number of rhythms, and refusals.
+"""The common parts of the servers of both predecessors: predictions by a number of rhythms, and refusals.
 
 Invariant: a goal is answered or refused with words; nothing that a client can send is sent on to the daemon without a
 bound on its size.
@@ -29,11 +29,11 @@ LAST_SECOND = 9_000_000_000
 """Times beyond it, in the year 2255, do not fit into nanoseconds."""
 
 UNKNOWN, LENGTHS_DIFFER, FAILED = -1, -2, -3
-"""Codes of refusals: those of fremenserver, and one for all that it did not know."""
+"""Codes of refusals: the codes of fremenserver, and one for all refusals that it did not have."""
 
 
 class Refused(Exception):
-    """A goal that cannot be done; the message says why."""
+    """A goal that cannot be done; the message states why."""
 
     def __init__(self, message: str, code: int = FAILED) -> None:
         super().__init__(message)
@@ -41,7 +41,7 @@ class Refused(Exception):
 
 
 def selector(order: int) -> Union[str, dict[str, Any]]:
-    """The model of an order: so many rhythms, or for a negative one what the map has chosen."""
+    """The model of an order: this number of rhythms, or for a negative order the model that the map has chosen."""
     if order < 0:
         return "auto"
     return {"kind": "MODEL_KIND_SPECTRAL", "order": min(order, ORDER_MAX)}
@@ -65,7 +65,8 @@ class States:
         return self._link.client
 
     def predicted(self, names: list[str], seconds: Seconds, order: int) -> tuple[Floats, int]:
-        """The values of states at times, a row a state; and how many observations of them no update has learned."""
+        """The values of states at times, a row for each state; and the number of their observations that no update has
+        learned."""
         values = np.full((len(names), len(seconds)), np.nan)
         pending = 0
         if not names or not len(seconds):
@@ -84,14 +85,14 @@ class States:
         return values, pending
 
     def described(self, name: str) -> dict[str, Any]:
-        """What the daemon knows of a state; refuses one that is not there."""
+        """The daemon's description of a state; refuses a state that is not there."""
         try:
             return dict(self.client.call("QueryService/DescribeModel", {"map": self.map_name, "state": name}))
         except tidemap.NotFound:
             raise self.missing(name) from None
 
     def missing(self, name: str) -> Refused:
-        """The refusal of a state that is not there; raises what the daemon says if the map is not there either."""
+        """The refusal of a state that is not there; raises the error of the daemon if the map is not there either."""
         self._link.map()
         return Refused(f"State ID {name} does not exist.", UNKNOWN)
 
@@ -108,7 +109,7 @@ class States:
                 return found
 
     def update(self) -> None:
-        """Lets the map learn what was observed, and waits for it."""
+        """Makes the map learn new observations, and waits until this ends."""
         self.client.update(self.map_name)
 
 

@@ -1,6 +1,6 @@
-"""What a robot saw, as bytes: the records of the spool.
+"""Observations of a robot as bytes: the records of the spool.
 
-Invariant: ``decoded(encoded(x)) == x``. A record has all that sending it needs; the same record is sent as the same
+Invariant: ``decoded(encoded(x)) == x``. A record has all data that sending needs; the same record is sent as the same
 bytes on any day.
 """
 
@@ -62,7 +62,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Picture:
-    """A grid: rows of cells, of which -1 was not seen, 0 is free and 1 occupied; ``pose`` is that of its corner."""
+    """A grid: rows of cells, where -1 is not seen, 0 is free and 1 is occupied; ``pose`` is the pose of its corner."""
 
     time_nanos: int
     pose: Pose
@@ -134,5 +134,5 @@ def decoded(raw: bytes) -> Record:
 
 
 def time_of(record: Record) -> int:
-    """When it was seen, nanoseconds since 1970."""
+    """The observation time of a record, nanoseconds since 1970."""
     return record.start_nanos if isinstance(record, Traversal) else record.time_nanos

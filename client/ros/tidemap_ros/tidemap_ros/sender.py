@@ -18,7 +18,7 @@ from tidemap_ros.spool import Position, Spool, SpoolError
 
 IN_FLIGHT_RECORDS = 4096
 IN_FLIGHT_BYTES = 24 << 20
-"""What may be on its way; less than the client library takes before it lets a caller wait."""
+"""The maximum amount in flight; less than the client library takes before it makes a caller wait."""
 ACKNOWLEDGED_EVERY_SECS = 0.02
 RETRY_SECS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 PATIENCE_SECS = 5.0
@@ -27,7 +27,7 @@ REASONS_KEPT = 20
 
 @dataclass
 class SenderState:
-    """What became of what was seen; shown in diagnostics."""
+    """The counts of observations; shown in diagnostics."""
 
     connected: bool = False
     error: str | None = None
@@ -37,13 +37,13 @@ class SenderState:
     """Records since the start of the node that the daemon has on its disk, or has refused."""
     waiting_records: int = 0
     oldest_waiting_nanos: int | None = None
-    """When the oldest record that waits was seen."""
+    """The time of the oldest record that waits."""
     refused: int = 0
     """Records that the daemon refused."""
     unreported: int = 0
-    """Records that became durable while a connection broke: refusals of them are not known."""
+    """Records that became durable while a connection broke, so that their refusals are not known."""
     reasons: dict[str, int] = field(default_factory=dict)
-    """Of refusals: reason, and how many."""
+    """The refusals: reason, and number."""
     last_refusal: str = ""
     unsendable: int = 0
 
@@ -85,12 +85,12 @@ class Sender(threading.Thread):
         self._next = spool.first
         self._at: Position | None = None
         self._in_flight: list[tuple[int, int, int]] = []
-        """Number, bytes and time of what is on its way."""
+        """Number, bytes and time of the records in flight."""
         self._bytes_in_flight = 0
         self._synced = time.monotonic()
         self._failures = 0
 
-    # What others see
+    # State that other threads see
 
     @property
     def grid(self) -> MapGrid | None:
@@ -99,7 +99,7 @@ class Sender(threading.Thread):
 
     @property
     def state(self) -> SenderState:
-        """What became of what was seen, until now."""
+        """The counts of observations, until now."""
         with self._lock:
             known = SenderState(**vars(self._state))
             known.reasons = dict(self._state.reasons)
@@ -109,7 +109,7 @@ class Sender(threading.Thread):
         return known
 
     def _seen_nanos(self, number: int) -> int | None:
-        """When a record of the spool was seen."""
+        """The observation time of a record of the spool."""
         try:
             found = self.spool.read(None, number)
             return None if found is None else records.time_of(records.decoded(found[0]))
@@ -117,7 +117,7 @@ class Sender(threading.Thread):
             return None
 
     def stop(self, timeout_secs: float = 2.0) -> None:
-        """Ends the thread. What is not acknowledged stays in the spool."""
+        """Ends the thread. Records that are not acknowledged stay in the spool."""
         self._stopping.set()
         with self.spool.grown:
             self.spool.grown.notify_all()
@@ -133,7 +133,7 @@ class Sender(threading.Thread):
                     self._connect()
                 self._step()
             except Exception as error:  # noqa: BLE001
-                # Whatever it is: it must be seen, and what was observed must still be sent when it is over.
+                # Any error is caught here: it must be shown, and observations must still be sent when it is over.
                 self._failed(error)
             self._sync()
         self._abandon()
@@ -156,7 +156,7 @@ class Sender(threading.Thread):
         with self._lock:
             self._producer = producer
             following = max(self.spool.first, durable - (self.spool.offset or 0) + 1)
-            # What was on its way when a connection broke, and had arrived.
+            # These records were in flight when a connection broke, and had arrived.
             self._state.durable_records += max(following - self._next, 0)
             self._next = following
             self._at = None

@@ -1,12 +1,12 @@
-"""What was observed and is not yet on the daemon's disk, in files of this robot.
+"""Observations that are not yet on the daemon's disk, in files of this robot.
 
 A folder has segments, ``<number of the first record>.spool``, of records: length, CRC-32, bytes. Records are numbered
-1, 2, 3, … for as long as the folder lives. ``stream.json`` says how those numbers are the sequence numbers of the
-daemon: ``number + offset``. Where the folder is full, new records are refused, and the old ones stay: a record whose
-number may be on its way cannot be taken out of the sequence, or the daemon would count another one in its place.
+1, 2, 3, … for as long as the folder lives. ``stream.json`` holds the relation of these numbers to the sequence numbers
+of the daemon: ``number + offset``. If the folder is full, new records are refused, and the old ones stay: a record
+whose number may be on its way cannot be taken out of the sequence, or the daemon would count another one in its place.
 
-Invariant: a record that was appended keeps its number, survives the end of this program, and goes only when the daemon
-has acknowledged it. The bytes of all segments never exceed the limit.
+Invariant: a record that was appended keeps its number, survives the end of this program, and is removed only when the
+daemon has acknowledged it. The bytes of all segments never exceed the limit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _EMPTIED_BYTES_MIN = 4 << 20
 
 
 class SpoolError(OSError):
-    """The folder cannot be used; the message says why."""
+    """The folder cannot be used; the message states why."""
 
 
 class Full(Exception):
@@ -52,7 +52,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class Position:
-    """Where a record begins."""
+    """The begin of a record."""
 
     number: int
     segment_first: int
@@ -93,14 +93,14 @@ class Spool:
         for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
             self._adopt(path)
         self._next = max(self._next, self._segments[-1].last + 1 if self._segments else 1)
-        # A start that never reached the daemon has added records; what counts is what the first of them found.
+        # A start that never reached the daemon has added records; the state that the first such start found counts.
         self._recovered = self._next - 1 if self._recovered is None else min(self._recovered, self._next - 1)
         try:
             self._write_stream()
         except OSError as error:
             raise SpoolError(f"the spool {self.folder} cannot be written: {error}") from None
 
-    # How numbers are sequence numbers of the daemon
+    # Relation of numbers to sequence numbers of the daemon
 
     def _read_stream(self) -> None:
         self.offset: int | None = None
@@ -138,25 +138,25 @@ class Spool:
     def linked(self, durable_sequence: int) -> None:
         """The daemon has everything of this producer up to a sequence number: forgets those records.
 
-        Before it returns it is on the disk which numbers the other records have for the daemon, so that the same
-        record never gets two.
+        Before it returns, the numbers of the other records for the daemon are on the disk, so that a record never gets
+        two numbers.
         """
         with self._lock:
             if self._is_closed:
                 raise SpoolError(f"the spool {self.folder} is closed")
             first = self._first()
-            # After a power cut the daemon may have records that this disk has lost. What was appended since has their
-            # numbers, but is not what the daemon has.
+            # After a power cut the daemon may have records that this disk has lost. Records that were appended since
+            # have their numbers, but other content.
             last = self._next - 1 if self._recovered is None else self._recovered
             self._recovered = None
             if self.offset is None:
-                # Never sent: what the daemon has is of another folder of this producer.
+                # Nothing was sent from this folder: the daemon's data comes from another folder of this producer.
                 self.offset = durable_sequence - (first - 1)
             elif durable_sequence < first - 1 + self.offset:
                 self.lost += first - 1 + self.offset - durable_sequence
                 self.offset = durable_sequence - (first - 1)
             elif durable_sequence > last + self.offset:
-                # This folder is older than what was sent, such as a copy: new records come behind.
+                # This folder is older than the data that was sent, for example a copy: new records come behind.
                 self.offset = durable_sequence - last
             self._write_stream()
             self._forget(durable_sequence - self.offset)
@@ -230,7 +230,7 @@ class Spool:
     def _begin_segment(self) -> None:
         path = self.folder / f"{self._next:020}{_SUFFIX}"
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-        # Not synced here: whoever appends must not wait for the disk.
+        # Not synced here: the caller that appends must not wait for the disk.
         self._segments.append(_Segment(path, self._next, 0, 0, descriptor))
         self._is_folder_unsynced = True
 
@@ -240,7 +240,7 @@ class Spool:
             if self._is_closed:
                 return
             segments = [segment for segment in self._segments if segment.is_unsynced]
-            # Of their own, so that appending and forgetting go on meanwhile.
+            # Uses descriptors of its own, so that appending and forgetting go on meanwhile.
             descriptors = [os.dup(segment.descriptor) for segment in segments]
             is_folder_unsynced, self._is_folder_unsynced = self._is_folder_unsynced, False
             for segment in segments:
@@ -280,9 +280,9 @@ class Spool:
             segment.path.unlink()
 
     def read(self, at: Position | None, number: int) -> tuple[bytes, Position] | None:
-        """The record of this number, and where the one behind it begins; ``None`` if there is none.
+        """The record of this number, and the position of the next record; ``None`` if there is no such record.
 
-        ``at`` is what the last call returned, and saves a search.
+        ``at`` is the position that the last call returned; it saves a search.
         """
         with self._lock:
             if not self._first() <= number < self._next:
@@ -298,7 +298,7 @@ class Spool:
                 current += 1
             raise SpoolError(f"record {number} of {segment.path} is damaged on the disk")
 
-    # How full it is
+    # Fill level
 
     def _bytes(self) -> int:
         return sum(segment.bytes for segment in self._segments)
@@ -326,7 +326,7 @@ class Spool:
             return self._first()
 
     def close(self) -> None:
-        """Ends; what was appended is on the disk."""
+        """Ends; appended records are on the disk."""
         self.sync()
         with self._lock:
             if self._is_closed:

@@ -1,9 +1,9 @@
-"""Where frames are, as tf tells it.
+"""The poses of frames, from tf.
 
 A small buffer in pure Python: a tree of frames, with static transforms and moving ones, which are interpolated at the
-time that is asked for. The node feeds it from ``/tf`` and ``/tf_static``.
+requested time. The node feeds it from ``/tf`` and ``/tf_static``.
 
-Invariant: nothing is extrapolated. A pose is either between two that were heard, or static, or not given.
+Invariant: nothing is extrapolated. A pose is either between two received ones, or static, or not given.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class NoTransform(LookupError):
 
 
 class NotYet(NoTransform):
-    """A pose that is not known yet: its time is newer than what was heard, or a frame was not heard of."""
+    """A pose that is not known yet: its time is newer than the received transforms, or a frame was not received yet."""
 
 
 class _Moving:
@@ -68,7 +68,7 @@ class _Moving:
 class Transforms:
     """Frames, and where they were within the last ``kept_secs`` seconds.
 
-    ``tolerance_secs``: a time that is newer by up to this than the newest transform gets that one.
+    ``tolerance_secs``: a time that is newer than the newest transform by at most this gets the newest transform.
     """
 
     def __init__(self, kept_secs: float = 30.0, tolerance_secs: float = 0.0) -> None:
@@ -79,7 +79,7 @@ class Transforms:
         self._moving: dict[str, _Moving] = {}
 
     def add(self, parent: str, child: str, stamp_nanos: int, parent_from_child: Pose, *, is_static: bool) -> None:
-        """Takes a transform. A frame that gets another parent forgets the poses in the one before."""
+        """Takes a transform. A frame that gets another parent forgets the poses in the previous one."""
         parent, child = parent.lstrip("/"), child.lstrip("/")
         if not parent or not child or parent == child:
             raise NoTransform(f"a transform from {child!r} to {parent!r} connects no two frames")

@@ -1,7 +1,7 @@
-"""Traversals of edges, from what navigators tell.
+"""Traversals of edges, from the reports of navigators.
 
-Invariant: a traversal has the edge and both times that a navigator told; nothing is reported for an edge that was left
-without a word on how it ended.
+Invariant: a traversal has the edge and both times that a navigator reported; nothing is reported for an edge whose end
+has no reported result.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ class RouteFollower:
         self._names = names
         self._report = report
         self._edges: dict[bytes, tuple[int, int]] = {}
-        """Of each goal, the edge that the robot is on, and since when."""
+        """For each goal, the edge that the robot is on, and the time since when."""
 
     def feedback(self, goal: bytes, edge: int, now_nanos: int) -> None:
-        """The robot is on this edge; another number than before: it has arrived at the end of that one."""
+        """The robot is on this edge; if the number differs from the previous one, the robot has arrived at the end of
+        the previous edge."""
         before = self._edges.get(goal)
         if before is not None and before[0] == edge:
             return
@@ -43,7 +44,7 @@ class RouteFollower:
         self._edges[goal] = edge, now_nanos
 
     def status(self, goal: bytes, status: int, now_nanos: int) -> None:
-        """A goal has this state. A cancelled one says nothing about its edge."""
+        """A goal has this state. A cancelled goal gives no result for its edge."""
         if status not in (SUCCEEDED, CANCELED, ABORTED):
             return
         before = self._edges.pop(goal, None)
@@ -57,9 +58,9 @@ class RouteFollower:
 
 
 def of_statistics(message: Any, now_nanos: int) -> Traversal | None:
-    """A ``NavStatistics`` of topological_navigation; ``None`` if it says nothing about an edge.
+    """A ``NavStatistics`` of topological_navigation; ``None`` if it contains no result for an edge.
 
-    Its edges are called ``FROM_TO``; ``origin`` and ``target`` are nodes, ``status`` is success, failed or fatal.
+    The edges are called ``FROM_TO``; ``origin`` and ``target`` are nodes, ``status`` is success, failed or fatal.
     """
     origin, target = str(getattr(message, "origin", "")), str(getattr(message, "target", ""))
     status = str(getattr(message, "status", "")).lower()
@@ -89,6 +90,6 @@ def _moment(words: Any) -> int | None:
             moment = datetime.strptime(str(words).strip(), form)
         except ValueError:
             continue
-        # It was written by this robot's clock on the wall.
+        # The time was written by this robot's wall clock.
         return int(moment.astimezone(timezone.utc).timestamp()) * 1_000_000_000
     return None

@@ -1,4 +1,4 @@
-//! Where a person of the explored office is during a day.
+//! The whereabouts of a person of the explored office during a day.
 //!
 //! Invariant: a person's day depends on the seed, the person and the day only.
 
@@ -11,7 +11,7 @@ const ABSENT: f64 = 0.03;
 /// Number of short breaks in a day.
 const BREAKS: usize = 2;
 
-/// Where a person is.
+/// The whereabouts of a person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Whereabouts {
     /// Not in the office.

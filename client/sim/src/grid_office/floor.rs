@@ -49,7 +49,7 @@ impl Floor {
     /// A floor with this many tiles, at least 1.
     pub(crate) fn new(tiles: u32) -> Self {
         let columns = tiles.div_ceil(TILE_LAYERS);
-        // As square as whole bands allow.
+        // The largest number of bands that leaves the floor about square.
         let bands = (columns / (BAND_TILES * BAND_TILES)).isqrt().max(1);
         Self { tiles, bands, columns: columns.div_ceil(BAND_TILES * bands) }
     }

@@ -22,7 +22,8 @@ pub(crate) struct Routine {
     pub(crate) start: u8,
     /// Time in milliseconds after midnight, and the pose from then on; by time.
     pub(crate) turns: Vec<(i32, u8)>,
-    /// When its cells may flicker, from and until in milliseconds after midnight, and the factor on the flicker rate.
+    /// The time in which its cells may flicker, from and until in milliseconds after midnight, and the factor on the
+    /// flicker rate.
     pub(crate) lively: Option<(i32, i32, f64)>,
 }
 

@@ -8,7 +8,7 @@ use super::{GridOffice, floor::TILE_CELLS, routine::DAY_END, schedule::ViewSched
 /// One scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GridScan<'a> {
-    /// When it was taken, in nanoseconds UTC.
+    /// The time of the scan, in nanoseconds UTC.
     pub utc_nanos: i64,
     /// The view that it shows; all cells of the view's tiles are observed. See [`GridOffice::view_slots`].
     pub view: u32,
@@ -22,7 +22,7 @@ pub struct GridScan<'a> {
 pub struct DayScans {
     /// Time in nanoseconds UTC and view of each scan.
     scans: Vec<(i64, u32)>,
-    /// Where the flips of each scan start, and the end of the last; one entry more than there are scans.
+    /// The start of the flips of each scan, and the end of the last; one entry more than there are scans.
     starts: Vec<usize>,
     flips: Vec<u32>,
 }

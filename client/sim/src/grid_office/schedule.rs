@@ -1,4 +1,4 @@
-//! When each scan is taken, and the view that it shows.
+//! The time of each scan, and the view that it shows.
 //!
 //! Invariant: scans are evenly spaced in UTC, independent of changes of the wall clock, and a day of scans lasts
 //! 86,400 s; every tile is in exactly one view.
@@ -25,7 +25,7 @@ impl ViewSchedule {
         u64::from(day) * u64::from(self.scans_per_day)
     }
 
-    /// When a scan is taken, in nanoseconds UTC.
+    /// The time of a scan, in nanoseconds UTC.
     pub(crate) fn utc_nanos(&self, scan: u64) -> i64 {
         let per_day = u64::from(self.scans_per_day);
         let (day, rest) = ((scan / per_day).cast_signed(), (scan % per_day).cast_signed());

@@ -13,7 +13,7 @@ pub(crate) const HOUR: i32 = 60 * MINUTE;
 /// Number of people in a group that meets every week.
 const GROUP: u32 = 6;
 
-/// Where a person is when away from the desk.
+/// The place of a person who is away from the desk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AwayPlace {
     Kitchen,
@@ -131,7 +131,7 @@ fn meetings(seed: u64, person: u32, day: CivilDay, dice: &mut Dice) -> Vec<Away>
     found
 }
 
-/// When the cleaner starts; none on evenings without a cleaner. The cleaner always comes on working Fridays, and the
+/// The start of the cleaner; none on evenings without a cleaner. The cleaner always comes on working Fridays, and the
 /// round takes less than two hours.
 pub(crate) fn cleaner(seed: u64, day: CivilDay) -> Option<i32> {
     let mut dice = Dice::new(seed, DiceTopic::Cleaner, 0, day.number);
@@ -168,7 +168,7 @@ mod tests {
                 }
             }
         }
-        // Of 800 working days.
+        // The number of evenings with a cleaner, of 800 working days.
         assert!((600..800).contains(&came), "{came}");
     }
 }

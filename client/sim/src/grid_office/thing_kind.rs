@@ -1,11 +1,11 @@
 //! The kinds of things that change in the grid office.
 
-/// The kind of a thing. `shapes` defines the poses of each kind, `routine` when it takes which.
+/// The kind of a thing. `shapes` defines the poses of each kind, `routine` the times at which a thing takes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ThingKind {
     /// A person at a desk, and the chair.
     Workplace,
-    /// What a person brings along and takes home.
+    /// Things that a person brings along and takes home.
     Belongings,
     /// A door leaf.
     Door,

@@ -1,4 +1,4 @@
-//! The things that change, and the cells that each of them fills in each pose.
+//! The things that change, and the cells that each thing fills in each pose.
 //!
 //! Invariant: a cell belongs to at most one thing, a thing's cells are never solid, and the number of changing cells
 //! is exactly the number requested.
@@ -51,13 +51,13 @@ const CLASSES: [(ThingKind, u32, usize); 8] = [
     (ThingKind::Parcel, 2, 64),
 ];
 
-/// Of the edges, in percent.
+/// Share of the edges that change with the daylight, in percent.
 const DAYLIGHT_EDGES: u32 = 40;
 
 /// A room by its index, and which of several places in it.
 type RoomSpot = (usize, u32);
 
-/// Where the bits of a cell are: slot, word, and the bit in it.
+/// The place of the bits of a cell: slot, word, and the bit in it.
 pub(crate) fn locate(address: u32) -> (usize, usize, u64) {
     let cell = address % TILE_CELLS;
     ((address / TILE_CELLS) as usize, (cell / 64) as usize, 1 << (cell % 64))
@@ -73,7 +73,7 @@ struct Builder<'a> {
     desks: Vec<RoomSpot>,
 }
 
-/// Places things until `wanted` cells change. `solid` is what is solid, by slot.
+/// Places things until `wanted` cells change. `solid` has the solid cells, by slot.
 pub(crate) fn place(seed: u64, floor: &Floor, solid: &[[u64; 8]], wanted: u32) -> Inventory {
     let changing = vec![[0; 8]; solid.len()];
     let mut builder = Builder { floor, solid, changing, things: Vec::new(), cells: Vec::new(), desks: Vec::new() };
@@ -113,7 +113,7 @@ impl Builder<'_> {
             }
             let people = match kind {
                 ThingKind::Workplace => vec![self.desks.len() as u32],
-                // Their sites are the desks.
+                // The sites of belongings are the desks.
                 ThingKind::Belongings => vec![index as u32],
                 _ => self.people_of(kind, room),
             };
@@ -124,7 +124,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Where a kind of thing can be.
+    /// The possible places of a kind of thing.
     fn sites(&self, kind: ThingKind, rooms: &[FloorRoom]) -> Vec<RoomSpot> {
         let places = match kind {
             ThingKind::Belongings => return self.desks.clone(),

@@ -1,4 +1,4 @@
-//! Packing, tested by examples and by unpacking as the protocol says.
+//! Packing, tested by examples and by unpacking as the protocol states.
 
 use proptest::prelude::*;
 use prost::Message as _;

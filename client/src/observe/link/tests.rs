@@ -40,7 +40,7 @@ enum Act {
     ServeAndStop,
     /// Acknowledges a batch, and then needs the place for another stream.
     ServeAndDisplace,
-    /// Asks whether the producer is there, and works only after it has answered.
+    /// Probes whether the producer is there, and goes on only after the producer has answered.
     Probe,
     /// Is another data folder, with the given number of observations.
     Restored(usize),
@@ -338,7 +338,7 @@ async fn a_producer_that_made_room_comes_back_when_it_has_more() -> Tested {
     }
     producer.close().await?;
     assert_eq!(fake.stored().rows.len(), 3);
-    // One that has nothing more to send ends without coming back.
+    // A producer that has nothing more to send ends without coming back.
     let (fake, mut producer) = self::producer(&[Act::ServeAndDisplace]).await?;
     send(&mut producer, &[1.0]).await?;
     producer.close().await?;
@@ -351,7 +351,7 @@ async fn a_restored_daemon_gets_what_it_lacks_or_is_noticed() -> Tested {
     let (fake, mut mended) = producer(&[Act::ServeUntil(3), Act::Restored(3)]).await?;
     send(&mut mended, &[0.0, 1.0, 0.0]).await?;
     let store_id = mended.progress().store_id;
-    // This one becomes durable without an acknowledgement, and is lost with the data folder.
+    // This observation becomes durable without an acknowledgement, and is lost with the data folder.
     send(&mut mended, &[1.0]).await?;
     assert_ne!(mended.progress().store_id, store_id);
     assert_eq!(mended.progress().store_changes, 1);
@@ -373,7 +373,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     producer.close().await?;
-    // An attempt may have been in progress; a producer that waits for the daemon would make all of them.
+    // An attempt may have been in progress; a producer that waits for the daemon would make all attempts.
     assert!(fake.stored().incarnations.len() <= 7, "{}", fake.stored().incarnations.len());
     Ok(())
 }

@@ -20,7 +20,7 @@ impl Producer {
         self.push_scan(time_nanos, |window| window.push_scan(time_nanos, scan)).await
     }
 
-    /// As [`Producer::send_scan`], with a scan as on the wire: its slots are those of the tiles so far, including
+    /// Does the same as [`Producer::send_scan`], with a scan in wire form: its slots number the tiles so far, including
     /// `new_tiles` (x, y, z of each).
     ///
     /// # Errors

@@ -22,7 +22,7 @@ use crate::observe::{
 
 type Picture = Vec<(TileIndex, TileMasks)>;
 
-/// The decoder of the daemon, and beside it what it shows.
+/// The decoder of the daemon, and the cells that the daemon shows.
 struct Daemon {
     pictures: Vec<Picture>,
     crc: ContentCrc,

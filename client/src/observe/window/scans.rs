@@ -47,7 +47,7 @@ impl KeptScan {
         &self.content
     }
 
-    /// The cells that it is a picture of; empty if it does not say.
+    /// The cells that the scan shows; empty if the scan does not state them.
     #[must_use]
     pub fn shown(&self) -> CellBox {
         self.shown
@@ -86,7 +86,7 @@ impl Window {
         Ok(self.keep(time_nanos, digest, content, shown))
     }
 
-    /// Pushes a scan as on the wire; its slots are those of the tiles so far, including `new_tiles`.
+    /// Pushes a scan in wire form; its slots number the tiles so far, including `new_tiles`.
     ///
     /// # Errors
     /// [`TileError`]; it is then not accepted.

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// A daemon that does what `observation.proto` says, and nothing else.
+/// A daemon that follows `observation.proto`, and does nothing else.
 #[derive(Default)]
 struct Daemon {
     stored: Vec<(String, i64, u64)>,

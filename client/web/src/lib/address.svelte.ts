@@ -1,6 +1,6 @@
-// What the page shows, as its address says it: `/maps/NAME?at=…&layer=…`, `/states/NAME`, `/operations`.
+// The view that the page shows, from its address: `/maps/NAME?at=…&layer=…`, `/states/NAME`, `/operations`.
 //
-// Invariant: the address alone brings a view back. Names are written with percent signs where needed.
+// Invariant: the address alone restores a view. Names are written with percent signs where needed.
 
 import { MINUTE, rfc3339 } from './civil';
 

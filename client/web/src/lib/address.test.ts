@@ -1,4 +1,4 @@
-// The address of the page: paths of views, and what is read from them.
+// The address of the page: paths of views, and the parameters that are read from them.
 
 import assert from 'node:assert/strict';
 import { test } from 'node:test';

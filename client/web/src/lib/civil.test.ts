@@ -62,7 +62,7 @@ suite('instant of a civil time', () => {
                 const seen = civil(ms, zone);
                 const found = instant(seen.year, seen.month, seen.day, seen.hour, seen.minute, zone);
                 if (found === ms) continue;
-                // Only the second of two equal times is not found again: the first is.
+                // Only the second of two equal times is not found again: the first one is found.
                 assert.deepEqual(civil(found, zone), seen, `${zone} ${iso(ms)}`);
                 assert.ok(ms - found === HOUR || ms - found === HOUR / 2, `${zone} ${iso(ms)}: ${iso(found)}`);
             }

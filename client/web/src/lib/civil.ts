@@ -1,6 +1,6 @@
 // Local civil time of a map: where its days begin, and how its times are written.
 //
-// Invariant: times are milliseconds since 1970 in UTC; the zone is that of the map, never that of the browser.
+// Invariant: times are milliseconds since 1970 in UTC; the zone is the zone of the map, never the zone of the browser.
 
 export const MINUTE = 60_000;
 export const HOUR = 60 * MINUTE;
@@ -43,7 +43,7 @@ export function civil(ms: number, zone: string): Civil {
     return { year: of('year'), month: of('month'), day: of('day'), hour: of('hour'), minute: of('minute'), second: of('second') };
 }
 
-/** How far local time is ahead of UTC, milliseconds. */
+/** The offset of local time from UTC, milliseconds. */
 export function offsetAt(ms: number, zone: string): number {
     const at = civil(ms, zone);
     return Date.UTC(at.year, at.month - 1, at.day, at.hour, at.minute, at.second) - Math.floor(ms / 1000) * 1000;
@@ -59,7 +59,7 @@ export function wallTime(ms: number, zone: string): number {
  * time, this is as much later as the clock was moved.
  */
 export function fromWall(wall: number, zone: string): number {
-    // An offset changes at most once in two days: one of these is that of the instant.
+    // An offset changes at most once in two days: one of these two is the offset of the instant.
     const before = offsetAt(wall - DAY, zone);
     const after = offsetAt(wall + DAY, zone);
     if (offsetAt(wall - before, zone) !== before && offsetAt(wall - after, zone) === after) return wall - after;
@@ -91,12 +91,12 @@ export function clockHours(day: number, hours: number[], zone: string): number[]
     return found.filter(({ hour, ms }) => clock(ms, zone) === `${String(hour).padStart(2, '0')}:00`).map(({ ms }) => ms);
 }
 
-/** The instant so many local days later, at the same time of the day. */
+/** The instant this many local days later, at the same time of the day. */
 export function addDays(ms: number, days: number, zone: string): number {
     return fromWall(wallTime(ms, zone) + days * DAY, zone);
 }
 
-/** As `Tue 4 Mar 2025, 10:00`. */
+/** A time such as `Tue 4 Mar 2025, 10:00`. */
 export function longTime(ms: number, zone: string): string {
     const parts = format(zone, 'long', {
         weekday: 'short', day: 'numeric', month: 'short', year: 'numeric', hour: '2-digit', minute: '2-digit', hourCycle: 'h23',
@@ -105,17 +105,17 @@ export function longTime(ms: number, zone: string): string {
     return `${of('weekday')} ${of('day')} ${of('month').slice(0, 3)} ${of('year')}, ${of('hour')}:${of('minute')}`;
 }
 
-/** As `10:00`. */
+/** A time such as `10:00`. */
 export function clock(ms: number, zone: string): string {
     return format(zone, 'clock', { hour: '2-digit', minute: '2-digit', hourCycle: 'h23' }).format(ms);
 }
 
-/** As `Tue 4 Mar`. */
+/** A day such as `Tue 4 Mar`. */
 export function dayName(ms: number, zone: string): string {
     return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '').replace('Sept', 'Sep');
 }
 
-/** As `2025-03-04T10:00:00+00:00`. */
+/** A time such as `2025-03-04T10:00:00+00:00`. */
 export function rfc3339(ms: number, zone: string): string {
     const offset = offsetAt(ms, zone);
     const wall = new Date(ms + offset).toISOString().slice(0, 19);

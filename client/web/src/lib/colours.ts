@@ -1,13 +1,13 @@
 // The painter of the page: the same colours by the same rule as all pictures of the daemon and the command line.
 //
 // Invariant: a cell at the map's free level is white or nearly so in every layer, one at its occupied level black or
-// nearly so, and an unknown one grey. Cells are bytes: 255 is unknown, 0 to 254 stand for probabilities from 0 to 1.
+// nearly so, and an unknown one grey. Cells are bytes: 255 is unknown, 0 to 254 are probabilities from 0 to 1.
 
 import { FREER, FULLER, MARKS, MUTED, OCCUPANCY, UNCERTAIN, UNKNOWN_COLOUR, type Colour } from './palette';
 
 /** The byte of a cell that is not known. */
 export const UNKNOWN = 255;
-/** The byte that stands for 1. */
+/** The byte of the value 1. */
 export const FULL = 254;
 
 export type Layer = 'probability' | 'entropy' | 'difference' | 'seen' | 'look';
@@ -54,23 +54,23 @@ export function entropyBits(probability: number): number {
     return -(probability * Math.log2(probability) + (1 - probability) * Math.log2(1 - probability));
 }
 
-/** The colour of what a layer shows of a cell, over the map with this share of the way from free to occupied. */
+/** The colour of the value of a cell in a layer, over the map with this share of the way from free to occupied. */
 export function colourOf(layer: Layer, value: number, beneath: number): Colour {
-    // What looking teaches lies over the map.
+    // The information gain lies over the map.
     if (layer === 'look') return mix(MUTED, beneath);
     if (layer === 'entropy') return blend(mix(MUTED, beneath), UNCERTAIN, within(value));
     if (layer === 'difference') return blend(mix(MUTED, beneath), value < 0 ? FREER : FULLER, within(Math.abs(value)));
     return mix(OCCUPANCY, beneath);
 }
 
-/** The colour of a line or a disc on white that stands for a value from 0 to 1; the greater, the darker. */
+/** The colour of a line or a disc on white for a value from 0 to 1; the greater, the darker. */
 export function markColour(value: number): Colour {
     return mix(OCCUPANCY, MARKS[0] + (MARKS[1] - MARKS[0]) * within(value));
 }
 
 const style = (colour: Colour) => `rgb(${colour.join(' ')})`;
 
-/** As {@link markColour}, for styles. */
+/** The colour of {@link markColour}, for styles. */
 export function mark(value: number): string {
     return style(markColour(value));
 }
@@ -80,14 +80,14 @@ export function occupancy(value: number): string {
     return style(mix(OCCUPANCY, value));
 }
 
-/** The colour of what is not known, for styles. */
+/** The colour of unknown values, for styles. */
 export const UNKNOWN_STYLE = style(UNKNOWN_COLOUR);
 
 function pixel([red, green, blue]: Colour): number {
     return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
 }
 
-/** What a layer shows of a cell that was `before` at another time. */
+/** The value of a cell in a layer, for a cell that was `before` at another time. */
 function valueOf(layer: Layer, now: number, before: number): number {
     return layer === 'entropy' ? entropyBits(now) : layer === 'difference' ? now - before : now;
 }
@@ -105,7 +105,7 @@ export function paletteOf(layer: Layer, levels: Levels): Palette {
     return Uint32Array.from({ length: 1 << 16 }, (_, index) => paint(layer, levels, index & 255, index >> 8));
 }
 
-/** The colour of what looking teaches, over the map, for styles; the most there is is 1. */
+/** The colour of an information gain, over the map, for styles; the greatest gain is 1. */
 export function gain(value: number): string {
     return `rgb(26 79 163 / ${(0.08 + 0.72 * within(value)).toFixed(3)})`;
 }

@@ -1,4 +1,4 @@
-// Files of what is shown.
+// Files of the shown content.
 
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';

@@ -1,7 +1,7 @@
-// Files of what is shown: CSV, SVG, and PNG made of the SVG.
+// Files of the shown content: CSV, SVG, and PNG made of the SVG.
 //
-// Invariant: a file says the map, the time and the zone; text in it is escaped, and no text of a table is a formula to a
-// spreadsheet. Numbers stay numbers.
+// Invariant: a file states the map, the time and the zone; text in it is escaped, and no text of a table is a formula
+// to a spreadsheet. Numbers stay numbers.
 
 export type Format = 'png' | 'svg' | 'csv';
 
@@ -14,13 +14,14 @@ export function save(name: string, content: Blob | string, type = 'text/plain'):
     setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
-/** How a formula begins, in any of the spreadsheets; the wide forms are those of Japanese and Chinese input. */
+/** The first characters of a formula, in any of the spreadsheets; the wide forms are the forms of Japanese and Chinese
+ * input. */
 const FORMULA = /^[=+\-@\t\r＝＋－＠]/;
 
 /** A number as a view writes it, which is no formula. */
 const NUMBER = /^[+-]?\d+(\.\d+)?(e[+-]?\d+)?$/i;
 
-/** A text as a spreadsheet shows it: one that would be a formula has an apostrophe before it. */
+/** A text as a spreadsheet shows it: a text that would be a formula has an apostrophe before it. */
 function asText(text: string): string {
     return FORMULA.test(text) && !NUMBER.test(text) ? `'${text}` : text;
 }

@@ -1,6 +1,7 @@
-// The frame that the map shows: the one of the wanted time as soon as it is here, and its neighbours ahead of need.
+// The frame that the map shows: the frame of the wanted time as soon as it is here, and its neighbours in advance.
 //
-// Invariant: at most `REQUESTS_MAX` requests run for what is wanted now. What was wanted before is not waited for.
+// Invariant: at most `REQUESTS_MAX` requests run for the frames that are wanted now. Frames that were wanted before are
+// not waited for.
 
 import { blend, comingFrames, frameAt, keptFrame, type Frame, type GridQuery } from './frames';
 import { message } from './rpc.svelte';
@@ -25,7 +26,7 @@ export class Feed {
         return this.#query !== undefined;
     }
 
-    /** Changes what is shown; `baseMs` is the time that differences are taken from. */
+    /** Changes the shown content; `baseMs` is the time that differences are taken from. */
     ask(query: GridQuery | undefined, baseMs: number | undefined): void {
         const isSame = JSON.stringify(query) === JSON.stringify(this.#query) && baseMs === this.#base;
         if (isSame) return;

@@ -1,4 +1,4 @@
-// The feed of the map: what it shows while frames are on their way.
+// The feed of the map: the frame that it shows while others are on their way.
 
 import assert from 'node:assert/strict';
 import { beforeEach, mock, suite, test } from 'node:test';

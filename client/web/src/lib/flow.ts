@@ -22,7 +22,7 @@ export interface FlowCell {
     shares: number[];
 }
 
-/** What is expected at a time. */
+/** The expected flow at a time. */
 export interface Flow {
     /** Lower corner of the raster, and the edge of its cells, metres. */
     lowX: number;
@@ -37,7 +37,7 @@ export interface Flow {
 
 /** The likeliest direction of a part of a flow. */
 export interface FlowArrow {
-    /** Where its detections are on average, and its edge, metres. */
+    /** The mean position of its detections, and its edge, metres. */
     x: number;
     y: number;
     size: number;
@@ -45,7 +45,7 @@ export interface FlowArrow {
     share: number;
 }
 
-/** How a flow is drawn. */
+/** The parameters of drawing a flow. */
 export interface FlowLayer {
     flow: Flow;
     /** The number of detections that has the darkest shade. */
@@ -54,13 +54,13 @@ export interface FlowLayer {
     isAlone: boolean;
 }
 
-/** The least that the darkest shade stands for: nights without people stay light. */
+/** The smallest value for the darkest shade: nights without people stay light. */
 const TOP_MIN = 0.1;
 /** A cell with less than this share of the darkest shade has no arrow. */
 const ARROW_MIN = 0.05;
 const DIRECTIONAL = /heading|direction|velocity|motion/i;
 
-/** Vectors that can be the positions of a flow; those that look like directions come last. */
+/** Vectors that can be the positions of a flow; those with values like directions come last. */
 export function positionStates(states: State[]): string[] {
     const names = states.filter((state) => state.kind === StateKind.VECTOR).map((state) => state.name);
     return names.sort((a, b) => Number(DIRECTIONAL.test(a)) - Number(DIRECTIONAL.test(b)));
@@ -72,12 +72,12 @@ export function directionStates(states: State[], positions: string): string[] {
     return states.filter((state) => kinds.includes(state.kind) && state.name !== positions).map((state) => state.name);
 }
 
-/** The state that is probably the directions, by its name; empty if no name says so. */
+/** The name of the state that probably has the directions; empty if no name shows this. */
 export function proposedDirections(candidates: string[]): string {
     return candidates.find((name) => DIRECTIONAL.test(name)) ?? '';
 }
 
-/** A round number that no cell exceeds: a scale that rests while numbers change a little. */
+/** A round number that no cell exceeds: a scale that stays constant while numbers change a little. */
 export function scaleTop(cells: FlowCell[]): number {
     const highest = cells.reduce((high, cell) => Math.max(high, cell.count), TOP_MIN);
     const power = Math.floor(Math.log10(highest) + 1e-9);
@@ -92,7 +92,7 @@ export function likeliest(shares: number[]): { angle: number; share: number } {
     return { angle: angle < Math.PI ? angle : angle - 2 * Math.PI, share };
 }
 
-/** Arrows of a flow, one for each square of so many cells along its edge. */
+/** Arrows of a flow, one for each square of `along` cells along its edge. */
 export function arrowsOf({ flow, top }: FlowLayer, along: number): FlowArrow[] {
     const squares = new Map<string, { x: number; y: number; highest: number; counts: number[] }>();
     for (const cell of flow.cells) {
@@ -135,7 +135,7 @@ export function countText(count: number): string {
     return count >= 100 ? Math.round(count).toLocaleString('en') : count >= 10 ? count.toFixed(1) : count.toFixed(2);
 }
 
-/** What is expected in a cell, in words. */
+/** The expectation in a cell, in words. */
 export function cellText({ count, shares }: FlowCell): string {
     const { angle, share } = likeliest(shares);
     const arrow = [...'→↗↑↖←↙↓↘'][(Math.round(angle / (Math.PI / 4)) + 8) % 8];

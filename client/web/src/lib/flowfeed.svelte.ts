@@ -1,6 +1,6 @@
 // The flow of people of a map at the time of the slider.
 //
-// Invariant: `flow` is one of the states that were asked for last. One question runs at a time.
+// Invariant: `flow` belongs to the states of the newest request. One request runs at a time.
 
 import type { PredictFlowResponse } from '../wire/tidemap/v1/query_pb';
 import type { Flow, FlowStates } from './flow';
@@ -8,10 +8,10 @@ import { oneAtATime } from './latest';
 import { message, queries } from './rpc.svelte';
 import { toNanos } from './times';
 
-/** The slider comes to rest before anything is asked. */
+/** The slider comes to rest before a request is sent. */
 const REST_MS = 60;
 
-/** The flow that the pieces of an answer for one time make. */
+/** The flow that is made of the pieces of a reply for one time. */
 export async function readFlow(answers: AsyncIterable<PredictFlowResponse>): Promise<Flow> {
     const flow: Flow = { lowX: 0, lowY: 0, edge: 1, columns: 0, rows: 0, detections: 0n, cells: [] };
     let directions = 1;
@@ -45,7 +45,7 @@ export class FlowFeed {
     #stop = new AbortController();
     readonly #run = oneAtATime();
 
-    /** Asks for a time; without states there is nothing. `generation` only says when to ask again. */
+    /** Requests the flow of a time; without states there is none. A change of `generation` only makes a new request. */
     ask(map: string, states: FlowStates | undefined, ms: number, generation: string): void {
         void generation;
         const key = states ? JSON.stringify([map, states.positions, states.directions]) : '';
@@ -55,12 +55,12 @@ export class FlowFeed {
             [this.flow, this.shownMs, this.problem] = [undefined, Number.NaN, ''];
         }
         clearTimeout(this.#timer);
-        // A question that still waits when other states are chosen ends with this signal, not with the next one.
+        // A request that still waits when other states are chosen ends with this signal, not with the next one.
         const { signal } = this.#stop;
         if (states) this.#timer = setTimeout(() => this.#run(() => this.#answer(map, states, ms, signal)), REST_MS);
     }
 
-    /** Drops what is on its way. */
+    /** Drops the request that is on its way. */
     stop(): void {
         this.#key = '';
         clearTimeout(this.#timer);
@@ -77,7 +77,7 @@ export class FlowFeed {
         } catch (error) {
             if (signal.aborted) return;
             this.problem = message(error);
-            // While the daemon is away, the page keeps what it shows.
+            // While the daemon is away, the page keeps its content.
             if (this.problem) [this.flow, this.shownMs] = [undefined, Number.NaN];
         }
     }

@@ -1,4 +1,4 @@
-// The feed of a flow: how an answer is read, when it is asked for, and what is dropped.
+// The feed of a flow: how a reply is read, when it is requested, and what is dropped.
 
 import assert from 'node:assert/strict';
 import { mock, suite, test } from 'node:test';
@@ -21,7 +21,7 @@ const pieces: Piece[] = [
     { case: 'cells', value: { indices: [5], expectedCounts: [3], shares: [0, 1] } },
 ];
 
-/** Lets the daemon answer with pieces, after `gate`; what it was asked is returned. */
+/** Makes the daemon answer with pieces, after `gate`; returns its requests. */
 function answer(all: Piece[], gate: (request: Request) => Promise<unknown> = () => Promise.resolve()): Request[] {
     const asked: Request[] = [];
     mock.method(queries, 'predictFlow', async function* (request: Request) {

@@ -1,4 +1,4 @@
-// Frames: how tiles are read, what is kept, and how two frames become one.
+// Frames: how tiles are read, which are kept, and how two frames become one.
 
 import assert from 'node:assert/strict';
 import { mock, suite, test } from 'node:test';
@@ -17,7 +17,7 @@ type Request = Parameters<typeof queries.predictGrid>[0];
 const NONE = new Uint8Array(8);
 const bytes = (...rows: number[]) => Uint8Array.of(...rows, ...NONE).slice(0, 8);
 
-/** Lets the daemon answer with pages of tiles; what it was asked is returned. */
+/** Makes the daemon answer with pages of tiles; returns its requests. */
 function answer(...pages: Tile[][]): Request[] {
     const asked: Request[] = [];
     mock.method(queries, 'predictGrid', async function* (request: Request) {

@@ -1,4 +1,4 @@
-// Pictures of a grid at times: fetched for what is visible, kept within a bound, blended while they play.
+// Pictures of a grid at times: fetched for the visible part, kept within a bound, blended while they play.
 //
 // Invariant: a frame is one byte a cell, rows from south to north, and does not change once it is made. All frames
 // together stay below `KEPT_MAX_BYTES`.
@@ -21,7 +21,7 @@ export interface Window2d {
     maxY: number;
 }
 
-/** What to show, apart from the time. */
+/** The content to show, apart from the time. */
 export interface GridQuery {
     map: string;
     window: Window2d;
@@ -36,7 +36,7 @@ export interface GridQuery {
 /** The probabilities of the columns of a window at a time. */
 export interface Frame extends Window2d {
     cells: Uint8Array;
-    /** Those of another time, to show the difference from it. */
+    /** The cells of another time, to show the difference from it. */
     before?: Uint8Array;
 }
 
@@ -73,7 +73,7 @@ async function load(query: GridQuery, ms: number, signal?: AbortSignal): Promise
     return frame;
 }
 
-/** Frames by what they show, the least used first. */
+/** Frames by their content, the least used first. */
 const kept = new Map<string, Frame>();
 const coming = new Map<string, Promise<Frame>>();
 let keptBytes = 0;
@@ -117,12 +117,12 @@ export function frameAt(query: GridQuery, ms: number): Promise<Frame> {
     return answer;
 }
 
-/** Number of frames that were asked for and have not come. */
+/** Number of frames that were requested and have not come. */
 export function comingFrames(): number {
     return coming.size;
 }
 
-/** What the daemon would send for a whole grid, without the cells. */
+/** The header that the daemon sends for a whole grid, without the cells. */
 export async function gridHeader(map: string, ms: number): Promise<GridHeader | undefined> {
     for await (const answer of queries.predictGrid({ map, time: toTimestamp(ms), estimateOnly: true })) {
         if (answer.message.case === 'header') return answer.message.value;
@@ -154,7 +154,7 @@ export function valueAt(frame: Frame, x: number, y: number): number | undefined 
     return now === UNKNOWN || before === UNKNOWN ? undefined : (now - before) / FULL;
 }
 
-/** Gives each known column of a frame to `take`, with what `valueAt` says of it. */
+/** Gives each known column of a frame to `take`, with the result of `valueAt`. */
 export function eachKnown(frame: Frame, take: (x: number, y: number, value: number) => void): void {
     for (let y = frame.minY; y < frame.maxY; y++) {
         for (let x = frame.minX; x < frame.maxX; x++) {

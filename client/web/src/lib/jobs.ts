@@ -14,7 +14,7 @@ export function secsOf(job: Job): number {
     return Number(job.elapsed?.seconds ?? 0n) + (job.elapsed?.nanos ?? 0) / 1e9;
 }
 
-/** Neighbours that are done, of one map and cause, as one; what runs, waits or failed stands alone. */
+/** Neighbours that are done, of one map and cause, as one; jobs that run, wait or failed stay single. */
 export function grouped(jobs: Job[]): JobGroup[] {
     const groups: JobGroup[] = [];
     for (const job of jobs) {

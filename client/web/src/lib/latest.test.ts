@@ -1,4 +1,4 @@
-// Answers to the newest question: older ones are dropped, whatever they say and whenever they come.
+// Replies to the newest request: older replies are dropped, whatever they contain and whenever they come.
 
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
@@ -15,7 +15,7 @@ function question(): { ask: () => Promise<string>; answer: (text: string) => voi
 let heard: string[];
 const got = (answer: string) => void heard.push(answer);
 const failed = (problem: string) => void heard.push(`problem: ${problem}`);
-/** Lets what was answered arrive. */
+/** Waits until the replies have arrived. */
 const settle = () => new Promise((done) => setTimeout(done));
 
 beforeEach(() => {

@@ -1,13 +1,13 @@
 // Answers to the newest question of a view.
 //
-// Invariant of `latest`: after an effect has asked anew or has ended, nothing of an older question arrives, neither its
-// answer nor its problem.
+// Invariant of `latest`: after an effect has sent a new request or has ended, nothing of an older request arrives,
+// neither its reply nor its problem.
 
 import { message } from './rpc.svelte';
 
 /**
- * Asks, and hands over the answer or what is wrong with it, in words. Returns what drops both; for an effect, which
- * returns it. With `restMs` it asks only after so long, so that a slider which moves asks once.
+ * Sends a request, and hands over the reply or its problem, in words. Returns a function that drops both; an effect
+ * returns this function. With `restMs` the request is sent only after this time, so that a moving slider sends one.
  */
 export function latest<T>(ask: () => Promise<T>, got: (answer: T) => void, failed: (problem: string) => void, restMs = 0): () => void {
     let isDropped = false;
@@ -30,8 +30,8 @@ export function latest<T>(ask: () => Promise<T>, got: (answer: T) => void, faile
 }
 
 /**
- * Runs one question at a time; while it waits, the newest of further ones is kept, and the others are never asked. For
- * what changes all the time: `latest` would drop each answer before it comes.
+ * Runs one request at a time; while it waits, the newest of further requests is kept, and the others are never sent.
+ * For values that change all the time: `latest` would drop each reply before it comes.
  */
 export function oneAtATime(): (ask: () => Promise<void>) => void {
     const waiting: (() => Promise<void>)[] = [];

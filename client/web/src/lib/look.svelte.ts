@@ -1,11 +1,12 @@
-// Where looking pays: what one look around would teach, from places all over the visible part of the grid.
+// The places with most information: the information gain of one observation all around, from places all over the
+// visible part of the grid.
 //
-// Invariant: the parameters are those of `PlanTour` and of the command line: a sensor of 4 m, all around.
+// Invariant: the parameters are the parameters of `PlanTour` and of the command line: a sensor of 4 m, all around.
 
 import { message, exploration } from './rpc.svelte';
 import { toNanos } from './times';
 
-/** Places that are asked for at a time. */
+/** Places of one request. */
 const PLACES_MAX = 400;
 /** The nearest that two places are, metres. */
 const SPACING_MIN_M = 1;
@@ -14,7 +15,7 @@ const REST_MS = 150;
 export interface Look {
     x: number;
     y: number;
-    /** Edge of the square that the place stands for, metres. */
+    /** Edge of the square that the place represents, metres. */
     size: number;
     bits: number;
 }
@@ -32,7 +33,7 @@ export function placesOf({ minX, minY, maxX, maxY }: Box): { size: number; place
     const count = (length: number, edge: number) => Math.max(1, Math.ceil(length / edge - 1e-9));
     let size = Math.max(SPACING_MIN_M, Math.sqrt((width * height) / PLACES_MAX));
     while (count(width, size) * count(height, size) > PLACES_MAX) size *= 1.1;
-    // The squares cover the box evenly: what is too much lies on both sides.
+    // The squares cover the box evenly: the excess lies on both sides.
     const along = (from: number, length: number) => {
         const squares = count(length, size);
         return Array.from({ length: squares }, (_, index) => from + (length - squares * size) / 2 + (index + 0.5) * size);
@@ -49,7 +50,8 @@ export class LookFeed {
     #stop: AbortController | undefined;
     #key = '';
 
-    /** Asks for what is visible at a time; without a box there is nothing. `generation` changes when the answer may. */
+    /** Requests the gains of the visible part at a time; without a box there are none. `generation` changes when the
+     * reply may change. */
     ask(map: string, box: Box | undefined, at: number, generation = ''): void {
         const key = JSON.stringify([map, box, at, generation]);
         if (key === this.#key) return;

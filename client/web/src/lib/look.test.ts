@@ -1,4 +1,4 @@
-// Where looking pays: the places that are asked for.
+// The places with most information: the requested places.
 
 import assert from 'node:assert/strict';
 import { afterEach, suite, test } from 'node:test';

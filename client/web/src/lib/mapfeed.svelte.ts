@@ -1,7 +1,7 @@
-// A map and its states, asked for again while a view shows them.
+// A map and its states, requested again while a view shows them.
 //
-// Invariant: a map that does not exist is known as such, with those that do; states are listed again only when the
-// counters of the map say that something came.
+// Invariant: a map that does not exist is reported as such, with the maps that exist; states are listed again only when
+// the counters of the map show new data.
 
 import { Code, ConnectError } from '@connectrpc/connect';
 
@@ -10,7 +10,7 @@ import { DAY, HOUR, MINUTE } from './civil';
 import { link, maps, message } from './rpc.svelte';
 import { fromTimestamp } from './times';
 
-/** Between two looks at the counters of the map. */
+/** The time between two requests for the counters of the map. */
 const EVERY_MS = 4000;
 /** Listing the states takes at most about this share of the time. */
 const LISTING_SHARE = 0.1;
@@ -18,27 +18,27 @@ const PAGE = 10_000;
 /** A step of the clock that a view opens at. */
 const STEP_MS = 5 * MINUTE;
 
-/** The time that a view opens at: now, or that of the newest data if they are older than a day. */
+/** The time that a view opens at: now, or the time of the newest data if it is older than a day. */
 export function openingTime(newest: number | undefined, now: number): number {
     const at = newest !== undefined && now - newest > DAY ? newest : now;
     return Math.floor(at / STEP_MS) * STEP_MS;
 }
 
-/** The time of the newest observation, milliseconds; one ahead of the clock does not count. */
+/** The time of the newest observation, milliseconds; an observation later than the clock does not count. */
 export function newestTime(states: { lastTime?: { seconds: bigint; nanos: number } }[], cut: number | undefined, now: number): number | undefined {
     let newest: number | undefined;
     for (const { lastTime } of states) {
         const ms = lastTime && Number(lastTime.seconds) * 1000 + lastTime.nanos / 1e6;
         if (ms !== undefined && ms <= now && ms > (newest ?? 0)) newest = ms;
     }
-    // Scans have no times here; what was learned of them ends with the update.
+    // Scans have no times here; the learned scans end with the update.
     return newest ?? (cut !== undefined && cut <= now ? cut : undefined);
 }
 
-/** Rows that came so lately say that more come. */
+/** Rows that came this recently mean that more will come. */
 const LIVE_MS = HOUR;
 
-/** Up to when a map can be known: now while data come, else the time of the newest. */
+/** The time up to which a map can be known: now while data come, else the time of the newest observation. */
 export function horizonOf(newest: number | undefined, now = Date.now()): number {
     return newest !== undefined && now - newest < LIVE_MS ? now : (newest ?? 0);
 }
@@ -65,7 +65,7 @@ export class MapFeed {
         this.#map = map;
     }
 
-    /** Asks now and then; the answer stops it. For an effect. */
+    /** Sends requests now and then; calling the result stops this. For an effect. */
     follow(): () => void {
         void link.epoch;
         void this.load();
@@ -130,12 +130,12 @@ export class MapFeed {
 
 const collator = new Intl.Collator('en', { numeric: true });
 
-/** States by name; what the daemon derives from traversals comes after what robots named. */
+/** States by name; states that the daemon derives from traversals come after states that robots named. */
 export function byName(states: State[]): State[] {
     return [...states].sort((a, b) => Number(a.name.includes('/')) - Number(b.name.includes('/')) || collator.compare(a.name, b.name));
 }
 
-/** Names that are like one that does not exist, the likest first. */
+/** Names that are similar to a name that does not exist, the most similar first. */
 export function likeNames(name: string, names: string[], most = 5): string[] {
     const pairs = (text: string) => new Set(Array.from({ length: Math.max(0, text.length - 1) }, (_, at) => text.slice(at, at + 2)));
     const wanted = pairs(name.toLowerCase());

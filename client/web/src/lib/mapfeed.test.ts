@@ -1,4 +1,4 @@
-// When a view opens, how states are sorted, and what is offered for a name that does not exist.
+// The opening time of a view, the order of states, and the offers for a name that does not exist.
 
 import assert from 'node:assert/strict';
 import { afterEach, beforeEach, suite, test } from 'node:test';

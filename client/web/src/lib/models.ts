@@ -35,7 +35,7 @@ export const COMPARED = [
     ModelKind.POISSON,
 ];
 
-/** Whether a kind can be asked for with an order. */
+/** Whether a request for this kind can have an order. */
 export function hasOrders(kind: ModelKind): boolean {
     return kind === ModelKind.AUTO || kind === ModelKind.SPECTRAL;
 }

@@ -1,4 +1,4 @@
-// What is drawn on canvases, by the calls that a canvas receives.
+// Drawings on canvases, by the calls that a canvas receives.
 
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
@@ -14,7 +14,7 @@ interface Call {
     brush: Record<string, unknown>;
 }
 
-/** A canvas that keeps what is drawn on it. */
+/** A canvas that keeps the drawing calls. */
 class Canvas {
     width = 200;
     height = 100;

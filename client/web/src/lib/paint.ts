@@ -5,17 +5,17 @@ import { arrowsOf, flowExtent, type FlowLayer } from './flow';
 import type { Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
-/** Where a grid lies: its corner and its cells, in metres. */
+/** The place of a grid: its corner and its cells, in metres. */
 export interface GridPlace {
     originX: number;
     originY: number;
     resolution: number;
 }
 
-/** Ways and what was chosen: blue, which no probability is. */
+/** Routes and selected elements: blue, which is no colour of a probability. */
 const WAY = '#1a4fa3';
 
-/** Around lines, whose colours are made for white, and what a line is drawn with that stands for no value. */
+/** The rim around lines, whose colours are made for white, and the ink of lines without a value. */
 const [RIM, INK] = ['#fff', '#17202b'];
 
 /** A name, the middle of its base line, and its width, in pixels. */
@@ -54,10 +54,10 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     }
     const pixels = new Uint32Array(image.data.buffer);
     const { cells } = frame;
-    // While a layer is changed, the frame may still be that of the other one.
+    // While a layer is changed, the frame may still be the frame of the other layer.
     const before = palette.length > 256 ? (frame.before ?? cells) : undefined;
     for (let row = 0; row < height; row++) {
-        // Rows of a frame go north, those of a picture go south.
+        // Rows of a frame go north, rows of a picture go south.
         let to = (height - 1 - row) * width;
         for (let from = row * width, end = from + width; from < end; from++, to++) {
             const now = cells[from] as number;
@@ -68,7 +68,7 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     return sheet;
 }
 
-/** Draws a frame; `ratio` is the number of pixels of the canvas for one of the screen. */
+/** Draws a frame; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
 export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number): void {
     const brush = canvas.getContext('2d');
     if (!brush) return;
@@ -102,7 +102,7 @@ function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: numb
 
 /** The least room for the arrow of a flow: where cells are smaller, some share one. */
 const FLOW_ARROW_PX = 14;
-/** Below a flow where there is no grid: white, and less of it at night. */
+/** The ground below a flow where there is no grid: white, and less of it at night. */
 const FLOW_GROUND = 'rgb(255 255 255 / 85%)';
 
 type ToScreen = (point: { x: number; y: number }) => [number, number];
@@ -221,7 +221,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.stroke();
     }
     if (camera.scale > 9 || plan.nodes.length < 40) {
-        // What was chosen has its name whatever is beside it.
+        // A selected node has its name even beside others.
         const nodes = [...plan.nodes].sort((a, b) => Number(chosen.includes(b.name)) - Number(chosen.includes(a.name)));
         const labels = nodes.flatMap((node) => {
             const [x, y] = at(node);

@@ -5,7 +5,7 @@ import { csvRow, escaped } from './export';
 import type { Piece } from './seen';
 import type { Week } from './week';
 
-/** The predictions of all series and what was observed, a row for each value. */
+/** The predictions of all series and the observations, a row for each value. */
 export function weekCsv(week: Week, zone: string, state = week.series[0]?.name ?? ''): string {
     const rows = [csvRow(['time', 'state', 'kind', 'value', 'lower', 'upper'])];
     for (const one of week.series) {
@@ -15,7 +15,7 @@ export function weekCsv(week: Week, zone: string, state = week.series[0]?.name ?
     }
     const { times, values, pieces } = week.seen;
     for (const [index, ms] of times.entries()) {
-        // A row without a value says that none is known from then on.
+        // A row without a value means that no value is known from then on.
         const value = values[index] ?? Number.NaN;
         rows.push(csvRow([rfc3339(ms, zone), state, pieces ? 'reported' : 'observed', Number.isNaN(value) ? '' : value, '', '']));
     }

@@ -1,4 +1,4 @@
-// What lies on a plan: places without a position, what is at a point, and its scale bar.
+// Content of a plan: places without a position, the element at a point, and the scale bar.
 
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';

@@ -1,4 +1,4 @@
-// What lies on a map besides the grid: flows, places, edges, routes and tours, in metres.
+// Elements of a map besides the grid: flows, places, edges, routes and tours, in metres.
 
 import type { Extent } from './extent';
 import type { FlowLayer } from './flow';
@@ -18,7 +18,7 @@ export interface PlanNode {
 export interface PlanEdge {
     from: string;
     to: string;
-    /** What its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
+    /** The value that its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
     share?: number;
     /** Number of reported traversals. */
     reports: number;
@@ -33,7 +33,7 @@ export interface PlanPath {
     points: { x: number; y: number; label?: string | undefined }[];
 }
 
-/** A square that stands out the more, the more looking teaches there. */
+/** A square that stands out more with more information gain. */
 export interface PlanSquare {
     x: number;
     y: number;
@@ -57,7 +57,7 @@ export interface Camera {
     scale: number;
 }
 
-/** The rectangle around both, or the one there is. */
+/** The rectangle around both, or the only one. */
 export function around(one: Extent | undefined, other: Extent | undefined): Extent | undefined {
     if (!one || !other) return one ?? other;
     return {
@@ -66,7 +66,7 @@ export function around(one: Extent | undefined, other: Extent | undefined): Exte
     };
 }
 
-/** What lies at a point of the map. */
+/** The element at a point of the map. */
 export type Found = { node: PlanNode } | { edge: PlanEdge } | undefined;
 
 /** The node or the edge at a point, in metres, if one is near enough: nodes before edges. */
@@ -87,7 +87,7 @@ export function planAt(plan: Plan, x: number, y: number, nearNodeM: number, near
     return best && { edge: best.edge };
 }
 
-/** The length of a scale bar, metres, of at most so many pixels: 1, 2 or 5 of a power of ten. */
+/** The length of a scale bar, metres, of at most `mostPx` pixels: 1, 2 or 5 of a power of ten. */
 export function scaleBar(scale: number, mostPx = 110): number {
     const most = mostPx / scale;
     const power = 10 ** Math.floor(Math.log10(most));

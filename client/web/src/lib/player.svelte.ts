@@ -1,12 +1,12 @@
-// Plays time: frames are fetched at steps ahead of need, and what lies between them is blended.
+// Plays time: frames are fetched at steps in advance, and times between them are blended.
 //
-// Invariant: time goes on only where both frames around it are here, so nothing is shown that was not predicted.
+// Invariant: time goes on only where both frames around it are here, so that nothing is shown that was not predicted.
 
 import { addDays, DAY } from './civil';
 import type { Feed } from './feed.svelte';
 import { SPANS, type SpanName } from './spans';
 
-/** Number of frames to fetch ahead. */
+/** Number of frames to fetch in advance. */
 const AHEAD = 8;
 /** The least time between two calls of `onmove` while it plays. */
 const MOVE_EVERY_MS = 100;

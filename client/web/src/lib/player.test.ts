@@ -1,4 +1,4 @@
-// The player: time goes on as fast as its span says, and waits for frames where there is a grid.
+// The player: time goes on at the pace of its span, and waits for frames where there is a grid.
 
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
@@ -21,7 +21,7 @@ Object.assign(globalThis, {
     },
 });
 
-/** Lets the browser draw so many pictures, 50 ms apart. */
+/** Makes the browser draw this many pictures, 50 ms apart. */
 function pictures(count: number): void {
     for (; count > 0; count--) {
         clockMs += 50;

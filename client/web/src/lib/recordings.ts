@@ -1,10 +1,12 @@
-// Recordings of robots that are sent to the daemon: what can be sent, under which name, and what the daemon says of it.
+// Recordings of robots that are sent to the daemon: which files can be sent, under which name, and the messages of the
+// daemon about them.
 //
-// Invariant: files are sent one after the other, and never read by the page. What is said is bounded by the daemon.
+// Invariant: files are sent one after the other, and never read by the page. The daemon bounds the length of its
+// messages.
 
 /** Endings of recordings. */
 const ENDINGS = ['.bag', '.mcap', '.db3', '.mcap.zstd', '.mcap.zst', '.db3.zstd', '.db3.zst'];
-/** What a dialog for files offers. */
+/** The file endings that a dialog offers. */
 export const ACCEPTED = '.bag,.mcap,.db3,.zstd,.zst';
 const MAP_NAME_MAX = 63;
 
@@ -13,7 +15,7 @@ export function isMapName(text: string): boolean {
     return /^[a-z0-9][a-z0-9_-]{0,62}$/.test(text);
 }
 
-/** A name of a map, made of the name of a file: `Office Tour_2.mcap` becomes `office-tour_2`. */
+/** A name of a map, made from the name of a file: `Office Tour_2.mcap` becomes `office-tour_2`. */
 export function mapNameOf(file: string): string {
     const ending = [...ENDINGS].sort((one, other) => other.length - one.length).find((ending) => file.toLowerCase().endsWith(ending)) ?? '';
     const plain = file.slice(0, file.length - ending.length).normalize('NFKD').replace(/\p{M}/gu, '').toLowerCase();
@@ -21,7 +23,7 @@ export function mapNameOf(file: string): string {
     return name || 'recording';
 }
 
-/** What is wrong with things that were dropped; empty if they are recordings. */
+/** The problem with dropped items; empty if they are recordings. */
 export function complaint(dropped: readonly { name: string; isFolder: boolean }[]): string {
     if (dropped.length === 0) return 'What was dropped is no file. Drop a recording: .bag, .mcap or .db3.';
     const folder = dropped.find((one) => one.isFolder);
@@ -31,7 +33,7 @@ export function complaint(dropped: readonly { name: string; isFolder: boolean }[
     return '';
 }
 
-/** What the daemon says of an import, one object a line. */
+/** The messages of the daemon about an import, one object a line. */
 export interface Said {
     line?: string;
     progress?: { seconds: number };
@@ -69,14 +71,14 @@ function refusal(status: number, text: string): Refused {
     }
 }
 
-/** Where a file goes. The name is written as the daemon wants names: composed, as not every system keeps it. */
+/** The URL for a file. The name is written as the daemon wants names: composed, as not every system keeps it. */
 export function pathFor(map: string, file: string, parameters: Record<string, string>): string {
     const query = new URLSearchParams(parameters).toString().replaceAll('+', '%20');
     return `/api/v1/maps/${encodeURIComponent(map)}/recordings/${encodeURIComponent(file.normalize('NFC'))}?${query}`;
 }
 
 /**
- * Asks whether a file would be taken, and whether its map exists.
+ * Queries whether a file would be taken, and whether its map exists.
  *
  * Throws `Refused`, or what `fetch` throws if the daemon is away.
  */
@@ -87,9 +89,9 @@ export async function look(map: string, file: File, producer: string, headers: R
     return (JSON.parse(text) as { mapExists: boolean }).mapExists;
 }
 
-/** Who hears of a file that is sent. */
+/** The receiver of events of a file that is sent. */
 export interface Hearer {
-    /** How much has been sent, 0 to 1. */
+    /** The share that has been sent, 0 to 1. */
     sent: (share: number) => void;
     said: (what: Said) => void;
 }
@@ -101,7 +103,7 @@ export interface Hearer {
  */
 export function send(map: string, file: File, producer: string, headers: Record<string, string>, hearer: Hearer, signal: AbortSignal): Promise<number> {
     return new Promise((done, failed) => {
-        // fetch does not tell how much of a file is sent.
+        // fetch does not report how much of a file is sent.
         const request = new XMLHttpRequest();
         const lines = new LineReader();
         let end: Said | undefined;

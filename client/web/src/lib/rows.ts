@@ -20,7 +20,7 @@ export function columnsOf(span: RowSpan, at: number, zone: string): Columns {
     return { span, starts: Array.from({ length: Math.round((end - start) / HOUR) }, (_, hour) => start + hour * HOUR), end };
 }
 
-/** Where labels stand above columns: shares of the width. */
+/** The places of labels above columns: shares of the width. */
 export function ticksOf({ span, starts, end }: Columns, zone: string): { share: number; text: string }[] {
     const start = starts[0] ?? end;
     const share = (ms: number) => (ms - start) / (end - start);
@@ -60,10 +60,10 @@ export function linePoints(values: number[], { low, high }: { low: number; high:
     return points.map(([index, value]) => `${(((index + 0.5) / values.length) * 100).toFixed(1)},${y(value)}`).join(' ');
 }
 
-/** When a prediction crosses one half. */
+/** A time at which a prediction crosses one half. */
 export interface Change {
     ms: number;
-    /** Whether it is above one half from then on. */
+    /** Whether the prediction is above one half from then on. */
     isUp: boolean;
 }
 
@@ -98,12 +98,12 @@ export function likelyParts(times: number[], values: number[], end: number): { f
     return parts;
 }
 
-/** So much of the end of a name is kept. */
+/** The number of characters at the end of a name that are kept. */
 const TAIL_MOST = 16;
 /** A shorter name is not parted. */
 const PARTED_LEAST = 18;
 
-/** A name in two: what may be cut, and the end that is kept, from a separator on where there is one. */
+/** A name in two parts: the part that may be cut, and the end that is kept, from a separator on if there is one. */
 export function nameParts(name: string): { head: string; tail: string } {
     const letters = [...name];
     if (letters.length < PARTED_LEAST) return { head: name, tail: '' };

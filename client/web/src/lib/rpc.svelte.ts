@@ -1,6 +1,6 @@
 // The daemon's services by gRPC-Web, and whether it answers.
 //
-// Invariant: every call goes through here, so `link` says what the last calls met. The token stays in this tab.
+// Invariant: every call goes through here, so `link` has the outcome of the last calls. The token stays in this tab.
 
 import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/connect';
 import { createGrpcWebTransport } from '@connectrpc/connect-web';
@@ -18,7 +18,8 @@ const TOKEN_KEY = 'tidemap-token';
 const FIRST_RETRY_MS = 500;
 const RETRY_MAX_MS = 5000;
 
-/** What the last calls met. `epoch` grows whenever the daemon is back or a token was given: views then load again. */
+/** The outcome of the last calls. `epoch` grows whenever the daemon is back or a token was given: views then load
+ * again. */
 export const link = $state({ isAway: false, needsToken: false, refusal: '', epoch: 0 });
 
 function stored(): string {
@@ -44,19 +45,19 @@ export function setToken(given: string): void {
     link.epoch++;
 }
 
-/** The headers of a request that goes beside the services. */
+/** The headers of a request that does not use the services. */
 export function authorization(): Record<string, string> {
     return token ? { authorization: `Bearer ${token}` } : {};
 }
 
 /** Calls of a daemon that has fallen silent are given up together. */
 let calls = new AbortController();
-/** When something was heard last. */
+/** The time of the last reply. */
 let heardAt = 0;
 
 /** An answer of a proxy in front of a daemon that is away. */
 const AWAY_STATUS = [502, 504];
-/** A daemon that says nothing for so long is away. */
+/** A daemon that sends nothing for this long is away. */
 const SILENT_MS = 10_000;
 
 async function ready(silentMs: number): Promise<Response> {
@@ -68,7 +69,7 @@ async function ready(silentMs: number): Promise<Response> {
 
 let probing = false;
 
-/** Asks until the daemon is back. */
+/** Sends requests until the daemon is back. */
 async function probe(): Promise<void> {
     if (probing) return;
     probing = true;
@@ -85,12 +86,13 @@ async function probe(): Promise<void> {
     link.epoch++;
 }
 
-/** Between two questions whether the daemon is there, where nothing else asks. */
+/** The time between two requests whether the daemon is there, if no other request is sent. */
 const BEAT_EVERY_MS = 3000;
 
 /**
- * Asks now and then whether the daemon is there, so that each view tells it; the answer stops it. A daemon that hangs,
- * or a network that is gone, breaks no connection: what still waits for it is given up, and asked again later.
+ * Checks now and then whether the daemon is there, so that each view shows it; calling the result stops this. A daemon
+ * that hangs, or a network that is gone, breaks no connection: requests that still wait are given up, and sent again
+ * later.
  */
 export function heartbeat(everyMs = BEAT_EVERY_MS, silentMs = SILENT_MS): () => void {
     let isWaiting = false;
@@ -100,7 +102,7 @@ export function heartbeat(everyMs = BEAT_EVERY_MS, silentMs = SILENT_MS): () => 
         try {
             await ready(silentMs);
         } catch {
-            // Where other calls are answered, this one only waits for a free connection.
+            // If other calls are answered, this one only waits for a free connection.
             if (heardAt < begun) {
                 link.isAway = true;
                 calls.abort();
@@ -128,7 +130,7 @@ const watchful: Interceptor = (next) => async (request) => {
     }
 };
 
-/** Looks at an error, also at one in the middle of a stream, for what it says about the daemon. */
+/** Takes from an error, also from one in the middle of a stream, what it means for the daemon. */
 export function notice(error: unknown): void {
     const found = ConnectError.from(error);
     if (found.code === Code.Unauthenticated) {
@@ -145,7 +147,7 @@ function isAway(error: ConnectError): boolean {
     return error.code === Code.Unavailable || (error.code === Code.Unknown && error.cause instanceof TypeError);
 }
 
-/** What to show of an error; empty for those that the page shows elsewhere or that nobody waits for. */
+/** The text to show for an error; empty for errors that the page shows elsewhere or for which nobody waits. */
 export function message(error: unknown): string {
     const found = ConnectError.from(error);
     notice(found);

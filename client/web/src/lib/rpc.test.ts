@@ -1,4 +1,4 @@
-// What the page says of errors, and when it takes the daemon to be away.
+// The texts of the page for errors, and when it takes the daemon to be away.
 
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';

@@ -1,4 +1,4 @@
-// What was observed: what rows of readings, changes and events stand for.
+// Observations: what rows of readings, changes and events represent.
 
 import assert from 'node:assert/strict';
 import { beforeEach, mock, suite, test } from 'node:test';
@@ -19,7 +19,7 @@ const UNKNOWN = Number.NaN;
 
 let asked: [number, number][];
 
-/** Lets the daemon say what was observed, as pairs of time and value, in pieces of two. */
+/** Makes the daemon return observations, as pairs of time and value, in pieces of two. */
 function observe(pairs: [number, number][]): void {
     asked = [];
     mock.method(queries, 'reconstruct', async function* (request: Parameters<typeof queries.reconstruct>[0]) {
@@ -34,14 +34,14 @@ function observe(pairs: [number, number][]): void {
     });
 }
 
-/** Lets the daemon refuse to say what was observed. */
+/** Makes the daemon refuse to return observations. */
 function refuse(code: Code): void {
     mock.method(queries, 'reconstruct', () => {
         throw new ConnectError('not kept', code);
     });
 }
 
-/** What rows stand for, as triples of hours and a value. */
+/** The pieces of rows, as triples of hours and a value. */
 function pieces(rows: [number, number][], reported: Reported, from: number, to: number, until: number): number[][] {
     const given = { times: rows.map(([hour]) => hour * HOUR), values: rows.map(([, value]) => value), note: '' };
     const seen = seenOf(given, reported, from * HOUR, to * HOUR, until * HOUR);

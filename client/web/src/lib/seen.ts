@@ -1,7 +1,7 @@
-// What was observed of a state: its rows, and what they stand for.
+// The observations of a state: its rows, and the pieces of time that they represent.
 //
-// Invariant: rows of samples are readings. A row of changes says which value holds from then on, and rows of events are
-// counted by the step: both are pieces of time with a value, and where no value is known there is no piece.
+// Invariant: rows of samples are readings. A row of changes gives the value that holds from then on, and rows of events
+// are counted by the step: both are pieces of time with a value, and where no value is known there is no piece.
 
 import { Code, ConnectError } from '@connectrpc/connect';
 
@@ -11,13 +11,13 @@ import { queries } from './rpc.svelte';
 import { fromNanos, toTimestamp } from './times';
 import { plain } from './unusual';
 
-/** What is known up to so short a time ago is known now: the page asks again every few seconds. */
+/** A value that is known up to this short a time ago is known now: the page sends a request every few seconds. */
 const NOW_MS = MINUTE;
 
-/** How a state is reported that is not reported by samples. */
+/** The reporting of a state that is not reported by samples. */
 export interface Reported {
     rows: RowKind.CHANGES | RowKind.EVENTS;
-    /** The longest time for which a row says something, milliseconds. */
+    /** The longest time for which a row is valid, milliseconds. */
     holdMs: number;
     /** The time between two readings that are learned, milliseconds. */
     stepMs: number;
@@ -28,7 +28,7 @@ export interface Piece {
     from: number;
     to: number;
     value: number;
-    /** When the row came that says so. */
+    /** The time of the row that starts the piece. */
     since: number;
 }
 
@@ -38,18 +38,19 @@ export interface Rows {
     values: number[];
     /** Why there are none, if there are none. */
     note: string;
-    /** The daemon keeps none, or gives out no more of them. */
+    /** The daemon keeps no rows, or returns no more of them. */
     isRefused?: boolean;
 }
 
 export interface Seen extends Rows {
-    /** What the rows stand for; `undefined` of samples. */
+    /** The pieces that the rows represent; `undefined` for samples. */
     pieces: Piece[] | undefined;
 }
 
 const known = new Map<string, Reported>();
 
-/** How a state is reported; `undefined`: by samples. One object for all that are reported alike: no effect sees a change. */
+/** The reporting of a state; `undefined`: by samples. States with equal reporting share one object, so that no effect
+ * sees a change. */
 export function reportedAs(reporting: StateReporting | undefined): Reported | undefined {
     const rows = reporting?.kind;
     if (rows !== RowKind.CHANGES && rows !== RowKind.EVENTS) return undefined;
@@ -68,7 +69,7 @@ export function lengthText(ms: number): string {
     return new Intl.NumberFormat('en', { style: 'unit', unit, unitDisplay: 'long' }).format(ms / length);
 }
 
-/** How a state is reported, in words. */
+/** The reporting of a state, in words. */
 export function reportedText(reported: Reported | undefined): string {
     if (!reported) return 'as readings';
     const [hold, every] = [lengthText(reported.holdMs), lengthText(reported.stepMs).replace(/^1 /, '')];
@@ -79,21 +80,22 @@ export function reportedText(reported: Reported | undefined): string {
 /** The newest row of a state, milliseconds. */
 export interface LastReport {
     row: number;
-    /** Up to when its value is known to hold. */
+    /** The time up to which its value is known to hold. */
     until: number;
-    /** Up to when the map is known. */
+    /** The time up to which the map is known. */
     newest: number;
-    /** Whether the row has a value, where that was asked for. */
+    /** Whether the row has a value, if this was requested. */
     hasValue?: boolean | undefined;
 }
 
-/** A row that ends what was known: its value holds no longer than itself, although there are newer data. */
+/** Whether the newest row has no value: it holds no longer than itself, although there is newer data. */
 const hasNoValue = ({ row, until, newest, hasValue = row >= newest }: LastReport) => until <= row && !hasValue;
 
-/** Of a row that ends what was known nothing else says whether it has a value, if it is the newest of all. */
+/** Whether it is unknown if the newest row has a value: its value ends with the row, and the row is the newest data of
+ * all. */
 export const isDoubtful = ({ row, until, newest }: LastReport) => until <= row && row >= newest;
 
-/** What the newest row of changes or events says, and up to when. */
+/** The value of the newest row of changes or events, and its end. */
 export function heldText(reported: Reported, value: string, report: LastReport, zone: string): string {
     const { row, until } = report;
     const isNow = Date.now() - until < NOW_MS;
@@ -104,7 +106,7 @@ export function heldText(reported: Reported, value: string, report: LastReport, 
     return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data`}` : `its value is ${value}`;
 }
 
-/** The newest value in few words: since when a change holds, and of readings when they came. */
+/** The newest value in few words: the time since which a change holds, or the time of a reading. */
 export function newestText(value: number | undefined, report: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
     const isChange = reported?.rows === RowKind.CHANGES;
     const { row } = report;
@@ -114,14 +116,14 @@ export function newestText(value: number | undefined, report: LastReport, report
     return `${said && `${said}${isChange && !isNarrow ? ' since ' : ', '}`}${day}${isNarrow ? '' : ` ${clock(row, zone)}`}`;
 }
 
-/** What changes say of a time: the value, and since when; `undefined` where nothing was known. */
+/** The value of changes at a time, and its start; `undefined` where nothing was known. */
 export function heldAt({ pieces }: Seen, ms: number): Piece | undefined {
     // At the time of a change its new value holds.
     const piece = pieces?.filter(({ from }) => from <= ms).at(-1);
     return piece && ms <= piece.to ? piece : undefined;
 }
 
-/** How many rows there are, and how they are drawn. */
+/** The number of rows, and how they are drawn. */
 export function seenText({ times, note, pieces }: Seen, reported: Reported | undefined): string {
     if (note) return note;
     const [what, drawn] = !reported ? ['observation', 'dot'] : reported.rows === RowKind.CHANGES ? ['change', 'step'] : ['event', 'step'];
@@ -157,11 +159,11 @@ export async function hasValueAt(map: string, state: string, row: number): Promi
     return value === undefined ? undefined : !Number.isNaN(value);
 }
 
-/** The rows between two times, with those before them that still say something; an explanation where they are not kept. */
+/** The rows between two times, with earlier rows that are still valid; an explanation if rows are not kept. */
 export async function observed(map: string, state: string, from: number, to: number, reported?: Reported): Promise<Rows> {
     const rows = await read(map, state, from, to);
     if (!reported || rows.isRefused) return rows;
-    // Most states report something in a day; few are asked for all that their rows may say.
+    // Most states have a report in a day; few need a request for the whole time that their rows may cover.
     let end = from;
     for (const back of [DAY, 7 * DAY, Infinity]) {
         const start = Math.max(0, from - Math.min(back, reported.holdMs));
@@ -173,13 +175,13 @@ export async function observed(map: string, state: string, from: number, to: num
     return rows;
 }
 
-/** From when to when the value of each row of changes holds. `until`: nothing is known from then on. */
+/** The times between which the value of each row of changes holds. `until`: nothing is known from then on. */
 function held(rows: Rows, { holdMs }: Reported, until: number): Piece[] {
     const pieces: Piece[] = [];
     for (const [index, from] of rows.times.entries()) {
         const [value, before] = [rows.values[index] ?? Number.NaN, pieces.at(-1)];
         const to = Math.min(rows.times[index + 1] ?? Math.max(from, until), from + holdMs);
-        // A row that says again what is known is no change.
+        // A row that repeats the known value is no change.
         if (before?.to === from && before.value === value) before.to = to;
         else pieces.push({ from, to, value, since: from });
     }
@@ -203,7 +205,8 @@ function counted(rows: Rows, { holdMs, stepMs }: Reported, until: number): Piece
     });
 }
 
-/** What rows stand for between two times. `until`: up to when they are known to be complete. */
+/** The pieces that rows represent between two times. `until`: the time up to which the rows are known to be
+ * complete. */
 export function seenOf(rows: Rows, reported: Reported | undefined, from: number, to: number, until: number): Seen {
     if (!reported) return { ...rows, pieces: undefined };
     const pieces = (reported.rows === RowKind.CHANGES ? held : counted)(rows, reported, until)
@@ -214,7 +217,7 @@ export function seenOf(rows: Rows, reported: Reported | undefined, from: number,
     return { times: within.map((index) => rows.times[index] ?? 0), values: within.map((index) => rows.values[index] ?? 0), note, pieces };
 }
 
-/** The mean of what was observed from each start up to the next, or to the end; NaN where nothing was. */
+/** The mean of the observations from each start up to the next, or to the end; NaN where there are none. */
 export function averages(seen: Pick<Seen, 'times' | 'values'> & Partial<Seen>, starts: number[], end: number): number[] {
     const [sums, weights] = [new Float64Array(starts.length), new Float64Array(starts.length)];
     const startAt = (index: number) => starts[index] ?? (index < starts.length ? 0 : end);
@@ -240,7 +243,7 @@ export function averages(seen: Pick<Seen, 'times' | 'values'> & Partial<Seen>, s
     return starts.map((_, index) => (sums[index] ?? 0) / (weights[index] || Number.NaN));
 }
 
-/** The mean squared difference between what was observed and predictions for times of equal distance. */
+/** The mean squared difference between observations and predictions for times of equal distance. */
 export function errorOf(seen: Pick<Seen, 'times' | 'values'> & Partial<Seen>, times: number[], predicted: number[]): number | undefined {
     const [first = 0, second = 1] = times;
     const step = second - first;

@@ -9,7 +9,7 @@ interface Span {
     stepMs: number;
     /** Between two frames that are fetched while it plays. */
     frameMs: number;
-    /** How much time a second of playing shows. */
+    /** The time that a second of playing shows. */
     pace: number;
     /** `anchor`: the time that spans without a beginning of their own end with the day of. */
     start: (ms: number, zone: string, anchor: number) => number;
@@ -29,7 +29,8 @@ export const SPANS: Record<SpanName, Span> = {
     },
     last: {
         stepMs: 30 * MINUTE, frameMs: HOUR, pace: 8 * HOUR,
-        // Seven days that end with the day of the anchor, or as many weeks before or after it as it takes.
+        // Seven days that end with the day of the anchor, or whole weeks before or after it, so that they contain the
+        // time.
         start: (ms, zone, anchor) => {
             const first = addDays(midnight(anchor, zone), -6, zone);
             const weeks = Math.floor((wallTime(ms, zone) - wallTime(first, zone)) / (7 * DAY));
@@ -54,8 +55,8 @@ export function spanOf(name: string | undefined): SpanName {
 }
 
 /**
- * The time of a position of the slider, in milliseconds after its start: of a day as they pass, of a week and a year as
- * the clock shows them.
+ * The time of a position of the slider, in milliseconds after its start: for a day in elapsed time, for a week and a
+ * year in clock time.
  */
 export function positionTime(span: SpanName, start: number, elapsed: number, zone: string): number {
     return span === 'day' ? start + elapsed : fromWall(wallTime(start, zone) + elapsed, zone);
@@ -69,7 +70,7 @@ export function position(span: SpanName, start: number, ms: number, zone: string
 const DAY_TICKS = [0, 3, 6, 9, 12, 15, 18, 21];
 const MONTHS = ['Jan', 'Feb', 'Mar', 'Apr', 'May', 'Jun', 'Jul', 'Aug', 'Sep', 'Oct', 'Nov', 'Dec'];
 
-/** What stands below the slider, and where: hours of the clock, days, or the first days of months. */
+/** The labels below the slider, and their places: hours of the clock, days, or the first days of months. */
 export function spanTicks(span: SpanName, start: number, zone: string): { ms: number; text: string }[] {
     if (span === 'day') return clockHours(start, DAY_TICKS, zone).map((ms) => ({ ms, text: clock(ms, zone) }));
     if (span !== 'year') return [0, 1, 2, 3, 4, 5, 6].map((day) => addDays(start, day, zone)).map((ms) => ({ ms, text: dayName(ms, zone) }));

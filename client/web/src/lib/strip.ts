@@ -1,7 +1,7 @@
 // Days of a state, hour by hour: predicted beside observed.
 //
-// Invariant: a column is an hour of the clock. The hour that a clock change leaves out has no value, and the one that
-// comes twice is one.
+// Invariant: a column is an hour of the clock. The hour that a clock change leaves out has no value, and an hour that
+// comes twice is one column.
 
 import { addDays, DAY, fromWall, HOUR, midnight, MINUTE, wallTime } from './civil';
 import { queries } from './rpc.svelte';
@@ -15,9 +15,9 @@ const HOURS = 24;
 export interface Strip {
     /** The midnights of the days, the oldest first. */
     days: number[];
-    /** When the hours of the days begin. */
+    /** The begins of the hours of the days. */
     starts: number[];
-    /** Of each hour of each day; `undefined` where the clock leaves it out, or nothing was observed. */
+    /** The values of each hour of each day; `undefined` where the clock leaves it out, or nothing was observed. */
     predicted: (number | undefined)[];
     observed: (number | undefined)[];
     low: number;
@@ -25,7 +25,8 @@ export interface Strip {
     note: string;
 }
 
-/** When each hour of the clock begins on a day, by its midnight; one that the clock leaves out begins as the next. */
+/** The begin of each hour of the clock on a day, by its midnight; an hour that the clock leaves out begins at the same
+ * time as the next. */
 export function hoursOfDay(day: number, zone: string): number[] {
     // Where a clock change leaves out midnight, the day begins later.
     const first = Math.floor(wallTime(day, zone) / DAY) * DAY;
@@ -44,13 +45,13 @@ export async function loadStrip(map: string, state: string, ms: number, zone: st
     let knownUntil = 0;
     const predict = async () => {
         for await (const piece of queries.predictStates({ map, states: [state], timesNanos: times.map(toNanos) })) {
-            // The first axis of a vector stands for it.
+            // The first axis of a vector represents it.
             if (piece.axis <= 1) answers.push(...piece.probabilities);
             knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
     const [, rows] = await Promise.all([predict(), observed(map, state, first, end, reported)]);
-    // It is told up to the last of the times that are asked for.
+    // The reports are known up to the last requested time.
     const seen = seenOf(rows, reported, first, end, knownUntil >= (times.at(-1) ?? 0) ? end : knownUntil);
     const predicted = answers.map((value, index) => (isLeftOut(index) ? undefined : value));
     const means = averages(seen, starts, end).map((value) => (Number.isNaN(value) ? undefined : value));

@@ -1,8 +1,8 @@
 // The rows that are visible: their hours as predicted or as observed, the value at the time of the slider, and the last
 // reading.
 //
-// Invariant: only rows that were asked for are predicted, one request at a time; what was asked before is not waited
-// for. At most `KEPT_MAX` rows are kept.
+// Invariant: only requested rows are predicted, one request at a time; earlier requests are not waited for. At most
+// `KEPT_MAX` rows are kept.
 
 import type { State } from '../wire/tidemap/v1/map_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
@@ -16,7 +16,7 @@ import { fromTimestamp, toNanos } from './times';
 const KEPT_MAX = 4000;
 /** Rows of a request. */
 const ASKED_MAX = 200;
-/** Scrolling and sliding come to rest before anything is asked. */
+/** Scrolling and sliding come to rest before a request is sent. */
 const REST_MS = 50;
 
 export interface StripQuestion {
@@ -30,14 +30,14 @@ export interface StripQuestion {
     /** The times of the newest rows of these states, and up to when the map is known. */
     newestRows?: ReadonlyMap<string, number>;
     newest?: number;
-    /** What the hours show. */
+    /** The content of the hours. */
     show: 'predicted' | 'observed' | 'week';
 }
 
 /** Requests for observations that run at the same time: each is of one state. */
 const READ_AT_ONCE = 6;
 
-/** How states are reported that are not reported by samples, by name. */
+/** The reporting of states that are not reported by samples, by name. */
 export type AllReported = ReadonlyMap<string, Reported>;
 
 export function allReported(states: Pick<State, 'name' | 'reporting'>[]): AllReported {
@@ -66,7 +66,7 @@ async function hoursSeen(map: string, states: string[], { starts, end }: Columns
 
 interface Predicted {
     values: number[][];
-    /** Up to when each state is known, milliseconds. */
+    /** The time up to which each state is known, milliseconds. */
     untils: number[];
 }
 
@@ -74,17 +74,17 @@ async function predict(map: string, states: string[], times: number[], model?: {
     const found: Predicted = { values: states.map(() => []), untils: states.map(() => 0) };
     const timesNanos = times.map(toNanos);
     for await (const piece of queries.predictStates({ map, states, timesNanos, model })) {
-        // The first axis of a vector stands for it.
+        // The first axis of a vector represents it.
         if (piece.axis <= 1) found.values[piece.stateIndex]?.push(...piece.probabilities);
         found.untils[piece.stateIndex] = fromTimestamp(piece.lastTime) ?? 0;
     }
     return found;
 }
 
-/** What hours are asked for: of which states, and what they show. */
+/** A request for hours: the states, and the content. */
 export type HoursQuestion = Pick<StripQuestion, 'map' | 'names' | 'columns' | 'show' | 'reported'>;
 
-/** The hours of rows, and with `week` those of a week before. */
+/** The hours of rows, and with `week` the hours of a week before. */
 export async function hoursOf({ map, names, columns, show, reported }: HoursQuestion): Promise<{ values: number[][]; before: number[][] | undefined }> {
     if (show === 'observed') return { values: await hoursSeen(map, names, columns, reported), before: undefined };
     const middles = columns.starts.map((start) => start + HOUR / 2);
@@ -152,7 +152,7 @@ export class StripFeed {
         const read = lastKey === this.#lastKey ? this.last : new Map<string, { value: number; until: number; hasValue?: boolean | undefined }>();
         const unread = asked.filter((name) => !read.has(name));
         if (unread.length) {
-            // A value is known at most up to the time that is asked for.
+            // A value is known at most up to the requested time.
             const { values, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
             const last = new Map(read);
             for (const [index, name] of unread.entries()) {

@@ -1,4 +1,4 @@
-// The rows that are visible: what is asked for, and what is kept.
+// The visible rows: which are requested, and which are kept.
 
 import assert from 'node:assert/strict';
 import { afterEach, beforeEach, suite, test } from 'node:test';
@@ -94,7 +94,7 @@ suite('visible rows', () => {
         Object.assign(queries, {
             predictStates: async function* ({ timesNanos }: Asked) {
                 await Promise.resolve();
-                // As the daemon tells it: never newer than what is asked for.
+                // The time that the daemon returns: never newer than the requested one.
                 const newest = Math.min(AT + 2.5 * HOUR, fromNanos(timesNanos.at(-1) ?? 0n));
                 yield { stateIndex: 0, axis: 0, probabilities: timesNanos.map(() => 0), lastTime: toTimestamp(newest) };
             },

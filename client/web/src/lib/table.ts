@@ -1,11 +1,11 @@
-// Files of tables: what a view shows in words, as CSV, SVG and PNG.
+// Files of tables: the content of a view in words, as CSV, SVG and PNG.
 //
 // Invariant: a file has the cells of the view, in its order; numbers of a CSV file have no separators of thousands.
 
 import { csvRow, escaped, pngOf, save, type Format } from './export';
 
 export interface Table {
-    /** Of what, when and in which zone. */
+    /** The content, time and zone of the table. */
     title: string;
     head: string[];
     rows: (string | number)[][];

@@ -14,7 +14,7 @@ export function fromNanos(nanos: bigint): number {
     return Number(nanos / NANOS_PER_MS);
 }
 
-/** As a message of the wire. */
+/** A time as a message of the wire. */
 export function toTimestamp(ms: number): Timestamp {
     return timestampFromMs(Math.round(ms));
 }

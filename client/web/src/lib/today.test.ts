@@ -1,4 +1,4 @@
-// What a day of a state is like, in parts.
+// The description of a day of a state, in parts.
 
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';

@@ -1,7 +1,7 @@
-// What a day of a state is like, from the predictions of its week.
+// The description of a day of a state, from the predictions of its week.
 //
-// Invariant: times lie within the local day; what is said of a probability is when it is at least one half, or, where
-// it never is, when it is least.
+// Invariant: times lie within the local day; for a probability the text gives the times when it is at least one half,
+// or, if it never is, when it is least.
 
 import { addDays, HOUR, midnight } from './civil';
 import { likelyParts } from './rows';
@@ -15,16 +15,16 @@ export interface Part {
 
 export interface Today {
     isAllDay: boolean;
-    /** When it is likely 1. */
+    /** The times when it is likely 1. */
     parts: Part[];
-    /** Of a state that is likely 0 all day: when that is surest. */
+    /** For a state that is likely 0 all day: the times when this is surest. */
     quiet: Part[];
     peak: { ms: number; value: number };
 }
 
 /** A time is quiet if a 1 is at most this share as probable as at the peak. */
 const QUIET_SHARE = 0.25;
-/** Shorter times are not worth telling. */
+/** Shorter times are not shown. */
 const QUIET_LEAST_MS = HOUR;
 const QUIET_MOST = 3;
 
@@ -49,7 +49,7 @@ export function todayOf(week: Week, at: number, zone: string): Today | undefined
     };
 }
 
-/** How many events are expected on the day of a time. */
+/** The expected number of events on the day of a time. */
 export function eventsOf(week: Week, at: number, zone: string, { stepMs }: Reported): number {
     const { to, times, values } = dayOf(week, at, zone);
     return values.reduce((sum, value, index) => sum + ((times[index] ?? to) < to ? value * (STEP_MS / stepMs) : 0), 0);

@@ -10,7 +10,7 @@ import { toNanos, toTimestamp } from './times';
 
 export type EdgeColour = 'success' | 'duration' | 'none';
 
-/** Forecasts wait so long for the slider to rest. */
+/** Forecasts wait this long for the slider to rest. */
 const REST_MS = 60;
 
 export class PlanFeed {
@@ -42,7 +42,8 @@ export class PlanFeed {
         }
     }
 
-    /** Asks for the forecasts of a time, once it is the time for a moment. `generation` only says when to ask again. */
+    /** Requests the forecasts of a time, once the slider rests on it for a moment. A change of `generation` only makes
+     * a new request. */
     predict(map: string, ms: number, colour: EdgeColour, generation: string): void {
         void generation;
         this.#colour = colour;
@@ -88,7 +89,7 @@ export class PlanFeed {
             const { from, to } = edge;
             const key = JSON.stringify([from, to].sort());
             const other = both.get(key);
-            // Two directions are drawn as one line, by the worse of them.
+            // Two directions are drawn as one line, with the worse value of the two.
             const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
             const isWorst = success <= (other?.success ?? 1);

@@ -1,4 +1,4 @@
-// What was unusual, in words, and what changes soon.
+// Unusual observations, in words, and the changes that come soon.
 
 import assert from 'node:assert/strict';
 import { afterEach, suite, test } from 'node:test';

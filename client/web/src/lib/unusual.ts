@@ -1,4 +1,4 @@
-// What was unusual before it was learned, and what changes soon.
+// Observations that were unusual before they were learned, and the changes that come soon.
 
 import type { Surprise } from '../wire/tidemap/v1/query_pb';
 import { clock, DAY, dayName, HOUR, MINUTE } from './civil';
@@ -6,11 +6,11 @@ import { changesOf, type Change } from './rows';
 import { queries } from './rpc.svelte';
 import { fromTimestamp, toNanos, toTimestamp } from './times';
 
-/** Days that "lately" looks back on. */
+/** The days of "lately". */
 export const LATELY_DAYS = 7;
-/** Runs that are asked for. */
+/** The maximum number of requested runs. */
 const RUNS_MAX = 10_000;
-/** Runs begin with an observation that the model held for at most this improbable: 1 minus it. */
+/** Runs begin with an observation to which the model gave at most a probability of 1 minus this. */
 const CONFIDENCE = 0.9;
 
 export interface Unusual {
@@ -44,30 +44,31 @@ export async function unusualBetween(map: string, from: number, to: number, stat
     return answer.surprises.map(read);
 }
 
-/** A number as people write it: no digits that say nothing. */
+/** A number as people write it: without digits that carry no information. */
 export function plain(value: number, digits = 3): string {
     if (!Number.isFinite(value)) return '–';
     return Number.isInteger(value) && Math.abs(value) < 1e6 ? String(value) : String(Number(value.toPrecision(digits)));
 }
 
-/** As `Tue 24 Nov 01:00 – 05:30`. */
+/** A range such as `Tue 24 Nov 01:00 – 05:30`. */
 export function rangeText(from: number, to: number, zone: string): string {
     const [first, last] = [`${dayName(from, zone)} ${clock(from, zone)}`, clock(to, zone)];
     if (to - from < MINUTE) return first;
     return dayName(from, zone) === dayName(to, zone) ? `${first} – ${last}` : `${first} – ${dayName(to, zone)} ${last}`;
 }
 
-/** What was seen, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
+/** The observation and its prediction, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
 export function runText(run: Unusual, zone: string, isProbability: boolean): string {
-    // Of other kinds than probabilities, `probability` is that of a value so far from what was predicted.
+    // For other kinds than probabilities, `probability` is the probability of a value at least as far from the
+    // prediction.
     const predicted = run.probability > 0.99 ? 'over 0.99' : run.probability < 0.001 ? 'under 0.001' : plain(run.probability, 2);
     const expected = isProbability ? `, predicted ${predicted}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
     return `was ${plain(run.value)} on ${rangeText(run.from, run.to, zone)}${expected}`;
 }
 
-/** States that "changes soon" looks at. */
+/** The number of states that "changes soon" covers. */
 export const SOON_STATES_MAX = 2000;
-/** How far it looks ahead. */
+/** The lead time of "changes soon", hours. */
 export const SOON_HOURS = 24;
 const SOON_STEP_MS = 15 * MINUTE;
 
@@ -101,7 +102,7 @@ export function strongestOf(runs: Unusual[]): { run: Unusual; more: number }[] {
     return [...found.values()];
 }
 
-/** An interval and the probability that it holds, without digits that say nothing. */
+/** An interval and the probability that it holds, without digits that carry no information. */
 export function intervalText(lower: number, upper: number, mass: number): string {
     const share = mass > 0.99 ? 'over 99' : (mass * 100).toFixed(0);
     return `${share} % interval ${plain(lower, 2)} – ${plain(upper, 2)}`;

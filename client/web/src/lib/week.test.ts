@@ -1,4 +1,4 @@
-// What the panels of a state show: a week, and the strip of four weeks hour by hour.
+// The content of the panels of a state: a week, and the strip of four weeks hour by hour.
 
 import assert from 'node:assert/strict';
 import { beforeEach, mock, suite, test } from 'node:test';
@@ -17,7 +17,7 @@ import { loadWeek, momentOf, periodText } from './week';
 const ZONE = 'Europe/Berlin';
 const MONDAY = Date.parse('2025-03-23T23:00Z');
 
-/** Lets the daemon say what was observed, as pairs of time and value, in pieces of two. */
+/** Makes the daemon return observations, as pairs of time and value, in pieces of two. */
 function observe(pairs: [number, number][]): void {
     mock.method(queries, 'reconstruct', async function* () {
         await Promise.resolve();
@@ -30,7 +30,7 @@ function observe(pairs: [number, number][]): void {
     });
 }
 
-/** Lets the daemon predict for each axis, in two pieces; the values are those of `value`. */
+/** Makes the daemon predict for each axis, in two pieces; the values are those of `value`. */
 function predict(axes: number[], value: (ms: number, axis: number) => number, labels: string[] = []): void {
     mock.method(queries, 'predictStates', async function* (request: Parameters<typeof queries.predictStates>[0]) {
         await Promise.resolve();

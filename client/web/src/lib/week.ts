@@ -1,4 +1,4 @@
-// A week of a state: what was predicted, with its interval, and what was observed.
+// A week of a state: the prediction, with its interval, and the observations.
 
 import { Code, ConnectError } from '@connectrpc/connect';
 
@@ -17,7 +17,7 @@ const LEVEL = 0.9;
 const DOTS_MAX = 4000;
 
 export interface Series {
-    /** Name of what is predicted: the state, or an axis or a label of it. */
+    /** Name of the series: the state, or an axis or a label of it. */
     name: string;
     values: number[];
     lower: number[];
@@ -26,7 +26,7 @@ export interface Series {
     masses?: number[];
 }
 
-/** A model to ask, instead of the one that the last update chose. */
+/** A model to request, instead of the model that the last update chose. */
 export interface Asked {
     kind: ModelKind;
     order?: number;
@@ -37,17 +37,17 @@ export interface Week {
     /** Times of the predictions, milliseconds. */
     times: number[];
     series: Series[];
-    /** What was observed; readings are thinned out to those that can be drawn. */
+    /** The observations; readings are thinned out to the number that can be drawn. */
     seen: Seen;
-    /** Up to when what was observed is known, at most the end of the week, milliseconds. */
+    /** The time up to which observations are known, at most the end of the week, milliseconds. */
     knownUntil: number;
     observations: number;
-    /** By which model; only known for a single state. */
+    /** The model; only known for a single state. */
     model: DescribeModelResponse | undefined;
     isProbability: boolean;
 }
 
-/** A prediction of a state, or of an axis of it, for one time. */
+/** A prediction of a state, or of one of its axes, for one time. */
 export interface Moment {
     name: string;
     value: number;

@@ -1,4 +1,4 @@
-// Which cells are fetched, and at which heights.
+// The cells to fetch, and their heights.
 
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';

@@ -1,12 +1,12 @@
-// Which cells to fetch for what is visible.
+// The cells to fetch for the visible part.
 
 import type { CellBox, Grid } from '../wire/tidemap/v1/types_pb';
 import type { Window2d } from './frames';
 import type { Camera } from './plan';
 
-/** A grid of at most so many columns is fetched as a whole. */
+/** A grid of at most this many columns is fetched as a whole. */
 const WHOLE_MAX = 1 << 20;
-/** At most so many columns are fetched at a time. */
+/** At most this many columns are fetched at a time. */
 const COLUMNS_MAX = 1 << 22;
 /** Edges of windows lie on multiples of this, so that small moves need nothing new. */
 const STEP = 128;

@@ -2,7 +2,7 @@
 
 import type { Statistic } from '../wire/tidemap/v1/maintenance_pb';
 
-/** What the daemon counts of it, in words; empty where nothing is pending that can be judged. */
+/** The daemon's counts of pending observations, in words; empty if nothing is pending that can be judged. */
 export function worthText(statistics: readonly Pick<Statistic, 'name' | 'value'>[]): string {
     const of = (name: string) => statistics.find((one) => one.name === name)?.value;
     const [judged, error, usual, gain] = [of('pending_judged'), of('pending_error'), of('usual_error'), of('update_gain')];

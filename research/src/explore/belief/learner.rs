@@ -79,7 +79,7 @@ impl Learner {
         Ok(())
     }
 
-    /// The state after it has learned what is new.
+    /// The state after it has learned the new readings.
     fn nightly(&mut self, readings: &[Sample], rules: impl Into<UpdateRules>) -> Result<&mut Nightly, CannotTrain> {
         let nightly = match &mut self.nightly {
             Some(nightly) => nightly,
@@ -97,7 +97,7 @@ impl Learner {
         Ok(nightly)
     }
 
-    /// What is known of the state at moments, which are in order of time.
+    /// The predictions for the state at moments, which are in order of time.
     pub(super) fn known(&self, moments: &[Moment]) -> Vec<Known> {
         let plain = |probability: f64| Known { probability, looks: None };
         match (&self.trained, &self.nightly) {

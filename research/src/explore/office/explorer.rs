@@ -45,14 +45,14 @@ const TILES_MAX: usize = 1 << 20;
 /// Distance from 0.5 of the probability of cells not seen in this round: almost unknown, on the side of the last value.
 const UNSURE: f32 = 0.01;
 
-/// How an explorer predicts and schedules.
+/// The method by which an explorer predicts and schedules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExplorerKind {
     /// By the last map, at regular times.
     Spatial,
     /// By the spatio-temporal model, in the slots with the most expected information.
     Temporal,
-    /// As [`Temporal`](Self::Temporal), blended with the last observation.
+    /// The schedule of [`Temporal`](Self::Temporal), with predictions blended with the last observation.
     TemporalPersistence,
 }
 
@@ -61,7 +61,7 @@ impl ExplorerKind {
     pub const ALL: [ExplorerKind; 3] =
         [ExplorerKind::Spatial, ExplorerKind::Temporal, ExplorerKind::TemporalPersistence];
 
-    /// Its name in results.
+    /// The name of the explorer in results.
     pub fn name(self) -> &'static str {
         match self {
             ExplorerKind::Spatial => "spatial",
@@ -101,13 +101,13 @@ pub(super) struct Findings {
 
 /// An explorer with its map.
 pub(super) struct Explorer {
-    /// How it predicts and schedules.
+    /// The method by which the explorer predicts and schedules.
     pub kind: ExplorerKind,
     map: LiveMap,
     view: MapView,
     front: LogHead,
     source: StreamTiles,
-    /// Its stream's tiles: slot of each, and what it showed of it.
+    /// The tiles of the explorer's stream: the slot of each tile, and the last content that it showed of it.
     slots: HashMap<TileIndex, u32>,
     shown: Vec<TileMasks>,
     scans: u64,
@@ -141,12 +141,12 @@ impl Explorer {
         })
     }
 
-    /// Whether it has seen the cell with this number.
+    /// Whether the explorer has seen the cell with this number.
     pub(super) fn has_seen(&self, cell: usize) -> bool {
         self.last[cell] != LastValue::Never
     }
 
-    /// Its prediction of all cells at a time, nanoseconds UTC.
+    /// The prediction of the explorer for all cells at a time, nanoseconds UTC.
     pub(super) fn predict(&self, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
         self.predict_by(self.kind, utc_nanos)
     }

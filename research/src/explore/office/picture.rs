@@ -1,7 +1,7 @@
 //! The error over time as a picture, a line for each explorer, as figure 6 of RA-L 2016.
 //!
-//! Invariant: the same results give the same bytes. The scale is that of the days after the first; higher errors of the
-//! first day are clipped.
+//! Invariant: the same results give the same bytes. The scale is made for the days after the first; higher errors of
+//! the first day are clipped.
 
 use tidemap_formats::svg::{
     Svg,

@@ -82,8 +82,8 @@ fn schedule(
     let count = slots.count();
     let budget = Budget::Visits(protocol.tours.min(count));
     let even = || Gains::of(count, 1, |_, _| 1.0);
-    // The first day is the same for all, because no map is trained yet. Tours at regular times would make periods of
-    // 24 h / i and 24 h / (24 - i) look the same.
+    // The first day is the same for all, because no map is trained yet. Tours at regular times would make periods of 24
+    // h / i and 24 h / (24 - i) indistinguishable.
     let Some(kind) = kind else { return Ok(strategy::schedule(Strategy::Random, &even()?, budget, seed)?) };
     if kind == ExplorerKind::Spatial {
         return Ok(strategy::schedule(Strategy::RoundRobin { visited: 0 }, &even()?, budget, seed)?);

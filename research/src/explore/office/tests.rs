@@ -53,8 +53,8 @@ fn what_a_protocol_says_wrongly_is_named() {
     }
 }
 
-/// As in RA-L 2016, figure 6, the spatio-temporal model knows least on the first day, and errs less every day. In an
-/// office of two people it does not beat the last map yet; the example protocol is tested below.
+/// The spatio-temporal model has most errors on the first day, and errs less every day, as in RA-L 2016, figure 6. In
+/// an office of two people it does not beat the last map yet; the example protocol is tested below.
 #[test]
 fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
     let protocol = protocol();
@@ -78,7 +78,7 @@ fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
     assert!(picture.contains("spatio-temporal") && !picture.contains("NaN"), "{picture}");
 }
 
-/// The statement of RA-L 2016, section IV.C, in the office of the example: with what was seen last blended in.
+/// The statement of RA-L 2016, section IV.C, in the office of the example: with the last observation blended in.
 #[test]
 #[ignore = "takes minutes"]
 fn from_the_third_day_on_the_spatio_temporal_model_with_persistence_errs_less() {

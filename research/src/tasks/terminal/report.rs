@@ -13,9 +13,9 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each robot, with means over seeds.
 ///
-/// Columns: robot; interactions an hour in all weeks, in the first and in the last; those of all weeks divided by those
-/// of the robot of random places, of the learned static place and of the best static place; and in how many seeds they
-/// are more than those of the best static place.
+/// Columns: robot; interactions an hour in all weeks, in the first and in the last; the interactions of all weeks
+/// divided by those of the robot of random places, of the learned static place and of the best static place; and the
+/// number of seeds in which they are more than those of the best static place.
 pub fn summary<W: Write>(outcome: &TerminalComparison, format: Format, writer: W) -> io::Result<()> {
     let last = format!("week_{}", outcome.weeks);
     let columns =

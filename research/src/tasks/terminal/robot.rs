@@ -1,7 +1,7 @@
 //! Terminals that choose their places in different ways.
 //!
 //! Invariant: a terminal stands in one place in each slot. The map learns from the terminal that tidemap plans for
-//! alone, and the static place is chosen by what that map has learned.
+//! alone, and the static place is chosen by the learned data of that map.
 
 use rand::Rng as _;
 use tidemap_map::{
@@ -27,20 +27,20 @@ use crate::{
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 86_400_000_000_000;
-/// Weight of what a look teaches, beside the probability that somebody comes.
+/// Weight of the information gain of an observation, beside the probability that a visitor comes.
 const EXPLORATION: f64 = 0.1;
-/// Subjects of draws, apart from those of the house.
+/// Subjects of draws, apart from the draws of the house.
 const UNIFORM: u64 = 11;
 const TIES: u64 = 12;
 
-/// How a terminal chooses its places.
+/// The method by which a terminal chooses its places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TerminalRobotKind {
     /// A random place in each slot.
     Uniform,
     /// Always the place where people came in the greatest share of the slots that tidemap has learned.
     StaticLearned,
-    /// Always the place with the greatest number of visitors in all weeks, which nobody knows beforehand.
+    /// Always the place with the greatest number of visitors in all weeks, which no robot knows beforehand.
     StaticBest,
     /// The place that tidemap plans.
     Tidemap,
@@ -58,7 +58,7 @@ impl TerminalRobotKind {
         TerminalRobotKind::Oracle,
     ];
 
-    /// Its name in results.
+    /// The name of the terminal in results.
     pub fn name(self) -> &'static str {
         match self {
             TerminalRobotKind::Uniform => "uniform",

@@ -1,4 +1,4 @@
-//! People come when their rates say so, and a terminal that learns meets more of them.
+//! People come at their rates, and a terminal that learns meets more of them.
 
 use super::{
     visitors::{HOUR_MINUTES, House, SLOT_MINUTES, SLOTS, WORKING_HOURS},

@@ -11,7 +11,7 @@ use crate::routes::{WEEK_DAYS, building::draw};
 
 /// The terminal works between these hours of every day.
 pub(super) const WORKING_HOURS: Range<usize> = 8..20;
-/// It stands in one place for a slot of this length.
+/// The terminal stands in one place for a slot of this length.
 pub(super) const SLOT_MINUTES: usize = 15;
 pub(super) const HOUR_MINUTES: usize = 60;
 /// Slots of a day.
@@ -27,7 +27,7 @@ const FACTOR: Range<f64> = 0.7..1.3;
 const HABIT: u64 = 1;
 const VISIT: u64 = 2;
 
-/// When people come: the days of the week from Monday on, the hours, and visitors an hour.
+/// The times at which people come: the days of the week from Monday on, the hours, and visitors an hour.
 type Rush = (Range<usize>, Range<f64>, f64);
 
 /// Places: a name, visitors an hour at all times, and more at some.
@@ -71,7 +71,8 @@ impl House {
         factor * (always + rushes.iter().filter(is_now).map(|(.., more)| more).sum::<f64>())
     }
 
-    /// How many people use a terminal that stands in a place in a slot of a day. `has_moved`: it was elsewhere before.
+    /// The number of people who use a terminal that stands in a place in a slot of a day. `has_moved`: it was elsewhere
+    /// before.
     pub(super) fn interactions(&self, place: usize, day: usize, slot: usize, has_moved: bool) -> u64 {
         let first = WORKING_HOURS.start * HOUR_MINUTES + slot * SLOT_MINUTES;
         let arrived = if has_moved { first + MOVE_MINUTES } else { first };

@@ -1,6 +1,6 @@
-//! What is wrong with a cluster.
+//! The problems of a cluster.
 //!
-//! Invariant: a function of what the daemons said.
+//! Invariant: a pure function of the replies of the daemons.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use tidemap_proto::{
 
 use super::{rows::state, view::ClusterView};
 
-/// A follower that has not heard of the end of the log for so long needs attention.
+/// A follower that has not received the end of the log for this long needs attention.
 const HEARD_WITHIN_NANOS: i64 = 10_000_000_000;
 
-/// How bad something is; as a number, the exit status.
+/// The severity of a problem; as a number, the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Severity {
     /// All is well.
@@ -26,7 +26,7 @@ pub(super) enum Severity {
 }
 
 impl Severity {
-    /// How a line about it begins.
+    /// The word with which a line about the problem begins.
     pub(super) fn word(self) -> &'static str {
         match self {
             Self::Well => "well",
@@ -41,7 +41,7 @@ pub(super) fn worst(concerns: &[(Severity, String)]) -> Severity {
     concerns.iter().map(|(severity, _)| *severity).max().unwrap_or(Severity::Well)
 }
 
-/// What is wrong, the worst first.
+/// The problems, the worst first.
 pub(super) fn concerns(view: &ClusterView) -> Vec<(Severity, String)> {
     let mut found = Vec::new();
     let asked = &view.asked;
@@ -180,7 +180,7 @@ mod tests {
         v1::GetClusterStatusResponse { maps: vec![map], ..v1::GetClusterStatusResponse::default() }
     }
 
-    /// Two members that both hold the map; `b` is as it is told.
+    /// Two members that both hold the map; the replica of `b` is the argument.
     fn cluster(of_b: v1::MapReplica) -> ClusterView {
         let mut asked = answer(replica(ReplicaRole::Writing, "0a"));
         let member =

@@ -1,7 +1,7 @@
-//! `tidemap cluster heal`: what forks hold is taken into the map again, and forks of which it has everything are
-//! removed.
+//! `tidemap cluster heal`: takes the observations of forks into the map again, and removes forks whose observations are
+//! all in the map.
 //!
-//! Invariant: a fork of which the map lacks something is removed only where the loss is accepted in words.
+//! Invariant: a fork of which the map lacks something is removed only if the user accepts the loss explicitly.
 
 use std::{
     process::ExitCode,
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::progress::status_line;
 
-/// How long a member may take to follow the map.
+/// The time limit for a member to follow the map.
 const FOLLOW_WITHIN: Duration = Duration::from_secs(10);
 const POLL: Duration = Duration::from_millis(100);
 
@@ -38,7 +38,7 @@ const COLUMNS: [&str; 10] = [
     "removed",
 ];
 
-/// Records of a fork that the map lacks: observations, and others, of which it is not known.
+/// Records of a fork that the map lacks: observations, and other records, for which this is not known.
 fn missing(fork: &v1::LogFork) -> u64 {
     let observations = fork.producers.iter().map(|row| row.observations.saturating_sub(row.known_observations));
     observations.sum::<u64>() + fork.other_records
@@ -87,8 +87,8 @@ async fn fork_now(client: &Client, map: &str, fork: &str) -> anyhow::Result<Opti
     Ok(replica.and_then(|replica| replica.forks.into_iter().find(|found| found.name == fork)))
 }
 
-/// Sends what the map lacks of a fork, and says what cannot be sent. Gives the fork as it stands then; `None`: its
-/// member has removed it, because the map has everything.
+/// Sends the observations of a fork that the map lacks, and reports those that cannot be sent. Returns the fork as it
+/// is then; `None`: its member has removed it, because the map has everything.
 async fn take_in_fork(
     session: &Session,
     (member, client): (&str, &Client),

@@ -58,7 +58,8 @@ fn text_or_empty(text: &str) -> Cell {
     if text.is_empty() { Cell::Empty } else { text.into() }
 }
 
-/// How the cluster sees a member: `alive`, `draining`, `silent` (it reports itself and does not answer) or `gone`.
+/// The state of a member in the cluster: `alive`, `draining`, `silent` (it reports itself and does not answer) or
+/// `gone`.
 pub(super) fn state(view: &ClusterView, member: &v1::ClusterMember) -> &'static str {
     match view.answers.get(&member.name) {
         _ if !member.is_alive => "gone",

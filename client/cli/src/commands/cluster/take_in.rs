@@ -1,8 +1,8 @@
-//! Sending what a fork holds to its map again, as from its producers.
+//! Sends the observations of a fork to its map again, as if from their producers.
 //!
 //! Invariant: an observation is sent under the number and the incarnation that its producer gave it, so that the map
-//! has it once, however often this is repeated. After an observation that cannot be sent nothing more of its producer
-//! is.
+//! has it once, however often this is repeated. After an observation that cannot be sent, no further observation of its
+//! producer is sent.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -16,37 +16,37 @@ use tidemap_client::{
 };
 use tidemap_proto::v1::{self, forked_observation::Content};
 
-/// How long the map may be without a writer meanwhile.
+/// The longest time for which the map may be without a writer meanwhile.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// What became of a fork.
+/// The result of taking in a fork.
 #[derive(Debug, Default)]
 pub(super) struct TakenIn {
     /// Observations that the map has now, and did not have before.
     pub taken: u64,
-    /// Why not all of them: sentences for people.
+    /// The reasons why observations were not taken: sentences for people.
     pub reasons: BTreeSet<String>,
 }
 
 /// A producer of the fork.
 enum Sending {
-    /// Nothing of it has come yet.
+    /// No observation of the producer has come yet.
     Waits,
     Open(Box<Resent>),
-    /// Nothing more of it is sent.
+    /// No further observation of the producer is sent.
     Ended,
 }
 
 /// A stream in the name of a producer.
 struct Resent {
     producer: Producer,
-    /// That of the fork, which the stream has presented.
+    /// The incarnation of the fork, which the stream has presented.
     incarnation: u64,
     /// Numbers of observations that the map refused the first time, too.
     refused: BTreeSet<u64>,
     sent: u64,
 }
 
-/// What an observation needs to be sent.
+/// The next step for an observation.
 enum Step {
     /// The map has it.
     Known,
@@ -88,7 +88,7 @@ impl Resent {
                 self.producer.send_position(&state, time_nanos, &position.coordinates).await?
             }
             Some(Content::Label(label)) => self.producer.send_label(&state, time_nanos, &label).await?,
-            // It was refused, and is again: no state has an empty name.
+            // The observation was refused, and is refused again: no state has an empty name.
             Some(Content::Left(_)) | None => {
                 self.refused.insert(sequence);
                 return self.producer.send("", 0, 0.0).await.map(drop);
@@ -98,7 +98,8 @@ impl Resent {
         Ok(())
     }
 
-    /// Waits until everything is durable; gives how many observations the map has taken, and why not more.
+    /// Waits until everything is durable; returns the number of observations that the map has taken, and the reasons if
+    /// not all were taken.
     async fn close(mut self) -> (u64, Option<String>) {
         let closed = self.producer.close().await;
         let refusals = self.producer.take_refusals();
@@ -112,7 +113,8 @@ impl Resent {
     }
 }
 
-/// Producers, with label, of whose observations in a fork the map lacks some, and those of them that stream now.
+/// Producers, with label, whose observations in a fork are not all in the map, and those of these producers that stream
+/// now.
 async fn lacking(to: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<BTreeMap<(String, String), bool>> {
     let rows = fork.producers.iter().filter(|row| row.known_observations < row.observations);
     let mut lacking: BTreeMap<(String, String), bool> =
@@ -125,7 +127,7 @@ async fn lacking(to: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<B
     Ok(lacking)
 }
 
-/// Sends what a fork of the daemon `from` holds, and the map lacks, through the daemon `to`.
+/// Sends the observations that a fork of the daemon `from` holds and the map lacks, through the daemon `to`.
 ///
 /// # Errors
 /// The fork or the producers of the map cannot be read.
@@ -133,7 +135,7 @@ pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &v1::Lo
     let mut taken_in = TakenIn::default();
     let mut producers: BTreeMap<(String, String), Sending> = BTreeMap::new();
     for (key, is_streaming) in lacking(to, map, fork).await? {
-        // Another stream with its incarnation would end the one that it has.
+        // Another stream with the producer's incarnation would end its open stream.
         if is_streaming {
             let why = "it sends observations now. Stop it, and run the command again";
             taken_in.reasons.insert(format!("producer {:?}: {why}", key.0));

@@ -1,6 +1,6 @@
 //! `tidemap cluster verify`: the logs of a map on all members at one position, and their newest generations.
 //!
-//! Invariant: logs are compared at a position that all of them have reached, and digests only of one generation.
+//! Invariant: logs are compared at a log position that all of them have reached, and digests only of one generation.
 
 use std::{collections::BTreeMap, process::ExitCode, time::Duration};
 
@@ -11,7 +11,7 @@ use tidemap_proto::v1;
 use super::{ClusterLost, Session, exit, view::ClusterView};
 use crate::{commands::cluster::concerns::Severity, progress::status_line};
 
-/// How often members are asked again whose newest generations are not of one number yet.
+/// The maximum number of further requests to members while their newest generations have different numbers.
 const ATTEMPTS: usize = 10;
 const PAUSE: Duration = Duration::from_millis(500);
 

@@ -1,6 +1,6 @@
-//! A cluster as all of its daemons see it.
+//! A cluster as all of its daemons report it.
 //!
-//! Invariant: each daemon has answered for itself; one that does not answer is there with the reason.
+//! Invariant: each daemon has answered for itself; a daemon that does not answer is included with the reason.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -8,15 +8,15 @@ use anyhow::Context as _;
 use tidemap_client::{Client, connection::Credentials};
 use tidemap_proto::v1;
 
-/// How long a daemon may take to answer.
+/// The time limit for the reply of a daemon.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 
-/// What the daemons of a cluster say.
+/// The replies of the daemons of a cluster.
 #[derive(Debug, Default)]
 pub(super) struct ClusterView {
-    /// What the daemon said that was asked first; it alone has asked the engine.
+    /// The reply of the first daemon; only this one includes the engine's report.
     pub asked: v1::GetClusterStatusResponse,
-    /// What each member said, or why it did not.
+    /// The reply of each member, or the reason why there is none.
     pub answers: BTreeMap<String, Result<v1::GetClusterStatusResponse, String>>,
 }
 
@@ -25,7 +25,7 @@ pub(super) fn is_writing(replica: &v1::MapReplica) -> bool {
     replica.role() == v1::ReplicaRole::Writing
 }
 
-/// What a daemon says; in time, or not at all.
+/// The reply of a daemon; an error if it is late.
 pub(super) async fn answer_of(client: &Client, with_engine: bool) -> anyhow::Result<v1::GetClusterStatusResponse> {
     let answer = tokio::time::timeout(ANSWER_WITHIN, client.cluster_status(with_engine)).await;
     let late = || format!("{} did not answer within {} seconds", client.server(), ANSWER_WITHIN.as_secs());
@@ -33,10 +33,10 @@ pub(super) async fn answer_of(client: &Client, with_engine: bool) -> anyhow::Res
 }
 
 impl ClusterView {
-    /// Asks all daemons, beginning with one.
+    /// Sends requests to all daemons, beginning with one.
     ///
     /// # Errors
-    /// That one does not answer.
+    /// The first daemon does not answer.
     pub(super) async fn ask(client: &Client, credentials: &Credentials) -> anyhow::Result<ClusterView> {
         let asked = answer_of(client, true).await?;
         let mut asking = Vec::new();
@@ -75,7 +75,7 @@ impl ClusterView {
         Ok(clients)
     }
 
-    /// What the members have of a map that hold it.
+    /// The replicas of a map, by the members that hold it.
     pub(super) fn replicas(&self, map: &str) -> Vec<(&str, &v1::MapReplica)> {
         let mut held = Vec::new();
         for (name, answer) in &self.answers {

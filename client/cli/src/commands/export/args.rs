@@ -1,6 +1,6 @@
 //! The arguments of `tidemap export`.
 //!
-//! Invariant: an option that does not go with the kind of file is refused, never ignored.
+//! Invariant: an option that does not fit the kind of file is refused, never ignored.
 
 use std::path::PathBuf;
 
@@ -119,7 +119,7 @@ impl ExportArgs {
         needs(!self.states.is_empty() && !self.wants(Content::States), "--state", "--content states")
     }
 
-    /// How the map is asked for.
+    /// The options with which the map is requested.
     pub(super) fn options(&self) -> FrameOptions {
         let edge_model = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
         FrameOptions {
@@ -139,7 +139,7 @@ impl ExportArgs {
         self.content.is_empty() || self.content.contains(&content)
     }
 
-    /// Whether this was asked for by name.
+    /// Whether the command line names this content.
     pub(super) fn names(&self, content: Content) -> bool {
         self.content.contains(&content)
     }

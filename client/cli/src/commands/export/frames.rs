@@ -1,6 +1,6 @@
-//! What a map is at one time, as it is exported: its grid, its topological map with costs, and its states.
+//! The exported content of a map at one time: its grid, its topological map with costs, and its states.
 //!
-//! Invariant: everything is asked for at the time that is given; what does not exist in the map is `None` or empty,
+//! Invariant: everything is requested for the given time; content that does not exist in the map is `None` or empty,
 //! never a guess.
 
 use std::collections::HashMap;
@@ -26,7 +26,7 @@ use super::super::{
     predict::check_for_cells,
 };
 
-/// How a map is asked for.
+/// The options of the requests for a map.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameOptions {
     /// Name of the map.
@@ -52,7 +52,7 @@ pub(crate) struct FrameOptions {
 pub(crate) struct GridFrame {
     /// The frame of its origin.
     pub(crate) frame: String,
-    /// Its cells, in one layer.
+    /// The cells of the grid, in one layer.
     pub(crate) picture: MapPicture,
     /// Number of updates behind the prediction.
     pub(crate) generation: u64,

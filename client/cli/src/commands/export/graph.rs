@@ -1,6 +1,6 @@
 //! A topological map at a time as GeoJSON, for Nav2's route server.
 //!
-//! Invariant: what is left out is told.
+//! Invariant: omissions are reported.
 
 use tidemap_formats::route_graph::RouteGraph;
 
@@ -26,7 +26,7 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
     Ok(vec![written("nodes", nodes), written("edges", edges)])
 }
 
-/// Says what a graph lacks.
+/// Reports the nodes and edges that a graph lacks.
 pub(super) fn tell_left_out(unplaced_nodes: u64, closed_edges: u64) {
     if unplaced_nodes > 0 {
         status_line(&format!(

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::progress::status_line;
 
-/// From this probability on a cell of a keepout mask is forbidden, as map servers take it for occupied.
+/// From this probability on a cell of a keepout mask is forbidden, because map servers read such a cell as occupied.
 const OCCUPIED: f64 = 0.65;
 /// The lowest limit of a speed mask, as a share of the greatest speed.
 const SLOWEST: f64 = 0.2;

@@ -1,7 +1,7 @@
 //! Maps over time as MCAP.
 //!
-//! Invariant: one time after the other, in their order; what was predicted for a time is written before the next is
-//! asked for.
+//! Invariant: one time after the other, in order; the prediction for a time is written before the next one is
+//! requested.
 
 use std::io::BufWriter;
 
@@ -18,7 +18,7 @@ use super::{
 };
 use crate::progress::Bar;
 
-/// What a recording will have.
+/// The contents that a recording will have.
 struct Plan {
     has_map: bool,
     has_grid: bool,
@@ -51,7 +51,7 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, mut times: Vec<i
     Ok(rows(args, counts))
 }
 
-/// What there is of what was asked for.
+/// The requested contents that the map has.
 async fn plan(session: &Session, args: &ExportArgs, map: &Map) -> anyhow::Result<Plan> {
     let region = map.grid_summary.as_ref().and_then(|summary| summary.region);
     let has_grid = map.grid.is_some() && region.is_some();
@@ -88,7 +88,7 @@ async fn plan(session: &Session, args: &ExportArgs, map: &Map) -> anyhow::Result
     Ok(plan)
 }
 
-/// Writes all that a map is at one time. `tells`: whether to say what is left out.
+/// Writes the whole content of a map at one time. `tells`: whether to report omissions.
 async fn put(
     session: &Session,
     args: &ExportArgs,

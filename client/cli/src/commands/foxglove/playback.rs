@@ -1,4 +1,4 @@
-//! Where the time bar stands, and how fast it moves.
+//! The position of the time bar, and its speed.
 //!
 //! Invariant: the time is within the range; it moves only while playing.
 
@@ -25,7 +25,7 @@ impl Playback {
         Self { first_nanos, last_nanos, at_nanos, speed: 1.0, is_playing: false }
     }
 
-    /// Changes it as a client asks; a speed that is none leaves the speed as it is.
+    /// Changes the playback as a client requests; an invalid speed leaves the speed as it is.
     pub(super) fn request(&mut self, plays: bool, speed: f64, seek_nanos: Option<i64>) {
         if speed.is_finite() && speed > 0.0 {
             self.speed = speed.min(SPEED_MAX);

@@ -2,9 +2,9 @@
 //!
 //! All clients share one time bar, as the protocol has one playback state for a server.
 //!
-//! Invariant: only what a client has subscribed to is asked of the daemon. A request of the time bar is answered at
-//! once, and the map of its time follows. A map is asked for after the one before has arrived, so clients that move the
-//! bar quickly get the newest time only.
+//! Invariant: only data to which a client has subscribed is requested from the daemon. A request of the time bar is
+//! answered at once, and the map of its time follows. A map is requested after the previous one has arrived, so clients
+//! that move the bar quickly get the newest time only.
 
 use std::{
     collections::HashMap,
@@ -41,7 +41,7 @@ use crate::progress::status_line;
 
 /// Between two maps while the bar moves.
 const TICK: Duration = Duration::from_millis(250);
-/// What was unusual so long before a time is shown with it.
+/// An unusual observation is shown for this long.
 const UNUSUAL_NANOS: i64 = 3_600_000_000_000;
 /// Maximum number of unusual observations of a time.
 const UNUSUAL_MAX: u32 = 100;
@@ -106,7 +106,7 @@ struct Channels {
 }
 
 impl Channels {
-    /// The channels of what the map has.
+    /// The channels of the contents that the map has.
     async fn open(session: &Session, served: &Served) -> anyhow::Result<Self> {
         let context = Context::new();
         let map = session.client.map(&served.options.map).await?;
@@ -135,7 +135,7 @@ impl Channels {
         Ok(new)
     }
 
-    /// Sends what the map is at a time to those who have subscribed to it.
+    /// Sends the map at a time to the clients that have subscribed to it.
     async fn put(&mut self, session: &Session, served: &Served, time_nanos: i64) -> anyhow::Result<()> {
         let Served { options, states, frame, .. } = served;
         let at = PartialMetadata::with_log_time(unsigned(time_nanos));
@@ -225,14 +225,14 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
         server.broadcast_time(unsigned(at_nanos));
         let sent = channels.put(session, &served, at_nanos).await.map_err(|error| format!("{error:#}"));
         tell(&server, sent.err(), &mut problem);
-        // The end is told behind its map, unless a client has moved the bar meanwhile.
+        // The end is reported after its map, unless a client has moved the bar meanwhile.
         if let Some(ended) = ended.filter(|ended| *ended == *time_bar.playback()) {
             server.broadcast_playback_state(state(&ended, false));
         }
     }
 }
 
-/// Says what went wrong, once; clients see it in Foxglove.
+/// Reports a problem once; clients see it in Foxglove.
 fn tell(server: &WebSocketServerHandle, found: Option<String>, known: &mut Option<String>) {
     if found == *known {
         return;

@@ -2,8 +2,8 @@
 //!
 //! A reading of a cell is free or occupied, nothing between: a probability of a map is rounded, or left out.
 //!
-//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. What is rounded
-//! or left out is counted. The number of tiles is checked before they are allocated.
+//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. Rounded and
+//! omitted cells are counted. The number of tiles is checked before they are allocated.
 
 mod counts;
 
@@ -41,12 +41,12 @@ pub(crate) struct GridMasks {
     pub(crate) shown: Option<CellBox>,
 }
 
-/// What becomes of a cell that a map gives a probability between free and occupied.
+/// The treatment of a cell that a map gives a probability between free and occupied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Between {
-    /// It is occupied from this probability on, and free below it.
+    /// The cell is occupied from this probability on, and free below it.
     OccupiedFrom(f64),
-    /// It is not used.
+    /// The cell is not used.
     Leave,
 }
 
@@ -73,7 +73,7 @@ impl FromStr for Between {
 /// Checks that the corners of something are cells that a grid can have.
 ///
 /// # Errors
-/// They are too far from the origin of the grid; the message proposes another.
+/// The cells are too far from the origin of the grid; the message proposes another origin.
 pub(crate) fn check_reach(grid: &GridSpec, low_m: [f64; 3], high_m: [f64; 3]) -> anyhow::Result<()> {
     let cells = |at_m: f64, axis: usize| ((at_m - grid.origin_m[axis]) / grid.resolution_m).abs();
     if (0..3).all(|axis| cells(low_m[axis], axis).max(cells(high_m[axis], axis)) < REACH_CELLS) {
@@ -92,7 +92,7 @@ pub(crate) fn check_reach(grid: &GridSpec, low_m: [f64; 3], high_m: [f64; 3]) ->
     )
 }
 
-/// The alignment of a map's cells with those of the grid.
+/// The alignment of a map's cells with the cells of the grid.
 #[derive(Clone, Copy, Debug)]
 struct CellAlignment {
     /// Grid cells per map cell along an axis.

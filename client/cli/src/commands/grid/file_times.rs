@@ -1,7 +1,7 @@
-//! When each file of scans was made: `--at` and `--every`, the names of the files, or a list.
+//! The times of files of scans: `--at` and `--every`, the names of the files, or a list.
 //!
 //! Invariant: every file has a time, or the command ends before anything is sent; only a file whose local time does not
-//! exist is left out. A time without a zone is read only with a word of the user's, `--local` or `--utc`.
+//! exist is left out. A time without a zone is read only if the user states `--local` or `--utc`.
 
 mod numbered;
 mod pattern;
@@ -56,7 +56,7 @@ pub(crate) struct FileTimeArgs {
 enum FileTime {
     /// Nanoseconds UTC.
     Utc(i64),
-    /// What a clock showed.
+    /// The time that a clock showed.
     Clock(DateTime),
 }
 
@@ -64,7 +64,7 @@ enum FileTime {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct FileTimes {
     times: Vec<FileTime>,
-    /// Whether the files themselves say when they were made, so that their order does not matter.
+    /// Whether the files themselves state when they were made, so that their order does not matter.
     are_own: bool,
     is_utc: bool,
 }
@@ -82,7 +82,8 @@ impl FileTimeArgs {
     /// The times of the files.
     ///
     /// # Errors
-    /// A file has none, or a time has no zone and nobody says which; before the daemon is contacted.
+    /// A file has no time, or a time has no zone and no option states one; this is checked before the daemon is
+    /// contacted.
     pub(super) fn of(&self, files: &[PathBuf]) -> anyhow::Result<FileTimes> {
         let (times, are_own) = match (&self.times_from, &self.times_file) {
             (Some(pattern), _) => (pattern.times(files)?, true),
@@ -130,8 +131,8 @@ impl FileTimeArgs {
 }
 
 impl FileTimes {
-    /// The files with their times, in nanoseconds UTC, and those whose time does not exist in the zone, with the
-    /// reason. Files that say themselves when they were made are put in the order of their times. `zone`: the map's
+    /// The files with their times, in nanoseconds UTC, and the files whose time does not exist in the zone, with the
+    /// reason. Files that state themselves when they were made are put in the order of their times. `zone`: the map's
     /// time zone, by name.
     ///
     /// # Errors
@@ -171,8 +172,8 @@ impl FileTimes {
     }
 }
 
-/// The time at which the clocks of a zone showed this, in nanoseconds UTC, and whether they showed it twice. Of two,
-/// the second if the first is not after `before`.
+/// The time at which the clocks of a zone showed this, in nanoseconds UTC, and whether they showed it twice. If there
+/// are two such times, the second is taken if the first is not after `before`.
 fn of_clock(zone: &TimeZone, clock: DateTime, before: i64) -> Result<(i64, bool), String> {
     let nanos = |offset: jiff::tz::Offset| {
         let time = offset.to_timestamp(clock).map_err(|error| format!("{clock}: {error}"))?;

@@ -27,7 +27,7 @@ pub(crate) fn pose(text: &str) -> Result<Isometry3<f64>, String> {
             if (length - 1.0).abs() > QUATERNION_TOLERANCE {
                 return Err(format!("the quaternion {qx},{qy},{qz},{qw} has length {length:.4}: it has to be 1"));
             }
-            // It is sent as it was given.
+            // The rotation is sent as it was given.
             let rotation = UnitQuaternion::new_unchecked(quaternion);
             Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
         }
@@ -83,7 +83,7 @@ impl FromStr for Rectangle {
     }
 }
 
-/// Where a cell begins along an axis, metres: without the rounding error of the sum, so that -15.2 stays -15.2.
+/// The lower bound of a cell along an axis, metres: without the rounding error of the sum, so that -15.2 stays -15.2.
 pub(crate) fn corner_m(origin_m: f64, cell: i32, resolution_m: f64) -> f64 {
     const NANOMETRES: f64 = 1e9;
     let sum = origin_m + f64::from(cell) * resolution_m;
@@ -114,7 +114,7 @@ pub(crate) fn cells(
     CellBox { min: min.into(), max: max.into() }
 }
 
-/// The cells of a map in a rectangle and between two heights, of what was observed so far.
+/// The cells of a map in a rectangle and between two heights, within the observed region.
 pub(crate) fn region_of(map: &Map, rectangle: Option<Rectangle>, height: Option<AxisRange>) -> anyhow::Result<CellBox> {
     let Some(grid) = &map.grid else {
         return Err(usage(format!("--region: map {:?} has no grid", map.name)));

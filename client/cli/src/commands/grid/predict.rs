@@ -35,7 +35,7 @@ const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
 
 /// A prediction of fewer cells than this is not refused for their number.
 const MANY_CELLS: u64 = 100_000;
-/// What to do about too many cells.
+/// Advice for too many cells.
 const PART: &str = "Choose a part with --region X0:X1,Y0:Y1 or --z MIN:MAX; a map that has one layer takes fewest cells in \
                     a flat grid (map create --grid …,flat)";
 
@@ -83,7 +83,7 @@ pub(crate) struct GridPredictArgs {
     scale: Option<ScaleArg>,
 }
 
-/// How large a cell is drawn.
+/// The scale at which cells are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct ScaleArg(Option<u32>);
 
@@ -128,7 +128,7 @@ enum OutputKind {
 }
 
 impl OutputKind {
-    /// Whether it has one layer.
+    /// Whether the map has one layer.
     fn is_flat(self) -> bool {
         matches!(self, Self::Pgm | Self::Png | Self::Drawing)
     }
@@ -146,7 +146,7 @@ fn kind(path: &Path) -> Result<OutputKind, UsageError> {
 }
 
 impl GridPredictArgs {
-    /// Where the map goes: a file, or the terminal.
+    /// The target of the map: a file, or the terminal.
     fn target(&self, format: Format) -> anyhow::Result<(OutputKind, Option<&Path>)> {
         let picture = self.picture.as_deref();
         match (&self.out, picture.filter(|path| path.as_os_str() != "-")) {
@@ -238,7 +238,7 @@ pub(crate) async fn predicted(session: &Session, query: &GridQuery) -> anyhow::R
     Ok(predicted.whole().await?)
 }
 
-/// Prints what was written, or drawn in the terminal.
+/// Prints a message about the written file, or the drawing in the terminal.
 fn put(session: &Session, path: Option<&Path>, picture: &MapPicture, generation: u64) -> anyhow::Result<ExitCode> {
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
     let known = count(|cell| *cell != PictureCell::Unknown);
@@ -260,7 +260,7 @@ fn put(session: &Session, path: Option<&Path>, picture: &MapPicture, generation:
     )
 }
 
-/// An error of the daemon; where much was asked for, with what to do.
+/// An error of the daemon; with advice, if the request was for many cells.
 async fn explained(session: &Session, query: &GridQuery, error: Error) -> anyhow::Error {
     let is_limit = matches!(&error, Error::Server(server) if server.code == Code::ResourceExhausted);
     match session.client.estimate_grid(query).await {
@@ -277,7 +277,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     cells_between(session, &args.map, (args.region, args.z), args.out.is_none()).await
 }
 
-/// The requested cells of a map; without heights, those that matter to a robot. `None` for all.
+/// The requested cells of a map; without heights, the cells that matter to a robot. `None` for all.
 pub(crate) async fn usual_region(
     session: &Session,
     map: &str,
@@ -287,7 +287,7 @@ pub(crate) async fn usual_region(
     cells_between(session, map, (rectangle, z), true).await
 }
 
-/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, those that matter to a
+/// The cells of a map in a rectangle and between two heights. `is_usual`: without heights, the cells that matter to a
 /// robot.
 async fn cells_between(
     session: &Session,
@@ -320,7 +320,7 @@ pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     Some(cells(grid, bounds, None, Some(AxisRange::new(from_m, to_m))))
 }
 
-/// The heights of a region as captions say them.
+/// The heights of a region in the form of captions.
 fn heights_text(grid: &GridSpec, region: Option<CellBox>) -> String {
     let metres = |cell: i32| (grid.origin_m[2] + f64::from(cell) * grid.resolution_m) as f32;
     match region {
@@ -329,7 +329,7 @@ fn heights_text(grid: &GridSpec, region: Option<CellBox>) -> String {
     }
 }
 
-/// Whether there are known cells, and all of them are rather occupied than free.
+/// Whether there are known cells, and all of them are more likely occupied than free.
 fn is_full(picture: &MapPicture) -> bool {
     let mut values = picture.cells.iter().filter_map(|cell| cell.probability()).peekable();
     values.peek().is_some() && values.all(|probability| probability >= 0.5)

@@ -1,7 +1,7 @@
 //! The scans of files, read on a thread of their own.
 //!
-//! Invariant: scans are in the order of their numbers, 1, 2, 3, ...; the memory for scans read ahead is bounded. A
-//! truncated file gives its complete scans, then the error.
+//! Invariant: scans are in the order of their numbers, 1, 2, 3, ...; the memory for scans that are read in advance is
+//! bounded. A truncated file gives its complete scans, then the error.
 
 mod plan;
 
@@ -150,12 +150,12 @@ fn spell_out_layers(scan: &mut FileScan) {
     }
 }
 
-/// Reads files of one scan each, and says what of them is not used.
+/// Reads files of one scan each, and reports which parts of them are not used.
 struct FileReader {
     options: ScanOptions,
     grid: GridSpec,
     bar: Bar,
-    /// Notices so far: each is said once, about the first file that it is true of.
+    /// Notices so far: each is printed once, for the first file to which it applies.
     said: HashSet<String>,
     counts: CellCounts,
 }
@@ -206,7 +206,7 @@ impl FileReader {
         }
     }
 
-    /// Says what of all files together is not used, or not as it is.
+    /// Reports the cells of all files together that are not used, or are used with a changed value.
     fn tell_counts(&self) {
         self.counts.notices().iter().for_each(|notice| self.bar.status_line(notice));
     }

@@ -4,7 +4,7 @@
 
 use tidemap_client::observe::ProducerSensor;
 
-/// Parses a sensor; omitted values are those of a perfect sensor.
+/// Parses a sensor; omitted values are the values of a perfect sensor.
 pub(crate) fn sensor(text: &str) -> Result<ProducerSensor, String> {
     let (mut hit, mut false_alarm) = (None, None);
     for part in text.split(',') {

@@ -1,4 +1,4 @@
-//! How many observations of each topic were accepted, skipped and refused, and why.
+//! The numbers of observations of each topic that were accepted, skipped and refused, and the reasons.
 //!
 //! Invariant: reasons are counted, not kept one by one; their number is bounded.
 
@@ -16,9 +16,9 @@ const REASONS_MAX: usize = 20;
 pub(super) struct TopicCount {
     /// Observations that are durable and that no earlier run had sent.
     pub(super) accepted: u64,
-    /// Messages, or parts of them, that become nothing: without a place, or left out by a mapping.
+    /// Messages, or parts of messages, that become no observation: without a place, or left out by a mapping.
     pub(super) skipped: u64,
-    /// Those that are wrong, or that the daemon refused.
+    /// Observations that are wrong, or that the daemon refused.
     pub(super) refused: u64,
     reasons: BTreeMap<String, u64>,
     other_reasons: u64,
@@ -89,7 +89,7 @@ impl TopicCounts {
         self.0.iter().any(|count| count.refused > 0)
     }
 
-    /// Tells the reasons.
+    /// Reports the reasons.
     pub(super) fn tell(&self, surveyed: &Surveyed) {
         for (topic, count) in surveyed.topics.iter().zip(&self.0) {
             for (why, times) in &count.reasons {

@@ -1,7 +1,7 @@
 //! Reads recordings a second time, on a thread of its own, and makes observations of their messages.
 //!
-//! Invariant: observations come in the order of the recordings; the memory for those read ahead is bounded, whatever
-//! the size of the recordings.
+//! Invariant: observations come in the order of the recordings; the memory for observations that are read in advance is
+//! bounded, whatever the size of the recordings.
 
 use std::{collections::HashSet, thread};
 
@@ -40,7 +40,7 @@ pub(super) struct ImportItem {
 #[derive(Debug)]
 pub(super) enum ImportContent {
     Scan(Scan),
-    /// Of the rule with this index among those of the topic.
+    /// A value of the rule with this index among the rules of the topic.
     Value {
         state: String,
         value: f64,
@@ -58,7 +58,7 @@ pub(super) enum ImportContent {
     Traversal(TraversalReport),
 }
 
-/// What messages became, each with the index of its topic.
+/// Observations made of messages, each with the index of its topic.
 #[derive(Debug, Default)]
 pub(super) struct ImportChunk {
     pub(super) items: Vec<(usize, Result<ImportItem, NotMade>)>,
@@ -105,7 +105,7 @@ struct Reader {
     chunk: ImportChunk,
     /// Bytes of the files before this one.
     before: u64,
-    /// Notices about grids so far; each is said once.
+    /// Notices about grids so far; each is printed once.
     said: HashSet<String>,
     sender: mpsc::Sender<anyhow::Result<ImportChunk>>,
 }
@@ -116,7 +116,7 @@ impl Reader {
             self.before = before;
             self.converter.next_file();
             match file.read(self) {
-                // That a file is cut off was said when it was read first.
+                // A cut file was reported when the file was read first.
                 Ok(_) => {}
                 Err(RecordingError::Stopped) => return Ok(()),
                 Err(error) => {

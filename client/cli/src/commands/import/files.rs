@@ -1,6 +1,6 @@
 //! The files of a recording: found, opened and read one after the other.
 //!
-//! Invariant: files are read in the order in which they are named; those of a folder of rosbag2 in the order of its
+//! Invariant: files are read in the order in which they are named; files of a folder of rosbag2 in the order of its
 //! `metadata.yaml`. An error names the file.
 
 use std::{
@@ -106,7 +106,7 @@ impl RecordedFile {
         self.path.display().to_string()
     }
 
-    /// Reads the file. Of a file that is damaged behind its first message, what comes before the damage is read.
+    /// Reads the file. If a file is damaged after its first message, the messages before the damage are read.
     pub(super) fn read(&self, sink: &mut dyn Sink) -> Result<Ending, RecordingError> {
         let file = BufReader::with_capacity(BUFFER_BYTES, File::open(&self.path)?);
         let mut counting = Counting { sink, messages: 0 };
@@ -162,7 +162,7 @@ fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(read.files.into_iter().map(|name| folder.join(name)).collect())
 }
 
-/// Reads the files once, to find what is in them.
+/// Reads the files once, to find their contents.
 pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyhow::Result<Surveyed> {
     let mut survey = Survey::without_transforms_of(&wishes.mapping.skip);
     surveyed(recording, bar, &mut survey, true)?;

@@ -1,4 +1,4 @@
-//! What an import makes of scans, clouds and grids: scans of the client library.
+//! Converts scans, clouds and grids of an import to scans of the client library.
 //!
 //! Invariant: ranges and limits that the daemon would refuse are brought into its limits here.
 
@@ -11,10 +11,10 @@ use tidemap_recordings::convert::{PlacedCloud, PlacedGrid, PlacedScan};
 
 use crate::commands::grid::cell_masks::of_plane;
 
-/// Ranges above this only say that the space up to it is free, unless options say otherwise, metres.
+/// Ranges above this, in metres, only mean that the space up to it is free, unless options state otherwise.
 const RANGE_MAX_M: f32 = 100.0;
 /// Occupancy in percent from which a cell of a grid is occupied, and below which it is free: the thresholds of Nav2's
-/// map saver. Cells between say nothing.
+/// map saver. Cells between carry no information.
 const OCCUPIED_PERCENT: i8 = 65;
 const FREE_PERCENT: i8 = 25;
 
@@ -53,8 +53,8 @@ pub(super) fn cloud(cloud: PlacedCloud, limits: Ranges) -> Scan {
     })
 }
 
-/// The cells of a grid, and what is to be said of them. One that is turned cannot be taken: its cells do not lie along
-/// those of the map.
+/// The cells of a grid, and the notices about them. A rotated grid cannot be taken: its cells are not aligned with the
+/// cells of the map.
 pub(super) fn cells(placed: &PlacedGrid, grid: &GridSpec) -> Result<(Scan, Option<String>), String> {
     let yaw = placed.origin.rotation.euler_angles().2;
     if yaw.abs() > 1e-3 {

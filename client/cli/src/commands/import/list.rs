@@ -1,4 +1,4 @@
-//! What an import shows: the topics, what becomes of them, and what a person should know.
+//! The output of an import: the topics, the observations made of them, and notices for the user.
 //!
 //! Invariant: each topic is one row, in the order of the recording.
 
@@ -11,7 +11,7 @@ use tidemap_recordings::{
 use super::{Planned, counts::TopicCounts};
 use crate::{commands::Session, progress::status_line};
 
-/// From so many clouds on, and so many a second, it is told that fewer would do.
+/// From this number of clouds on, at this rate per second, a notice recommends fewer.
 const FAST_CLOUDS_MIN: u64 = 100;
 const FAST_CLOUDS_RATE: f64 = 2.0;
 const COLUMNS: [&str; 7] = ["topic", "type", "messages", "becomes", "accepted", "skipped", "refused"];
@@ -50,7 +50,7 @@ fn rows(planned: &Planned) -> impl Iterator<Item = Vec<Cell>> {
     })
 }
 
-/// Whether all that could be observed are scans and clouds, and nothing is known of where they were.
+/// Whether all possible observations are scans and clouds, and none of their places is known.
 pub(super) fn is_all_without_place(planned: &Planned) -> bool {
     let mut observed = planned.plan.topics.iter().filter(|plan| plan.is_observed());
     let is_unplaced = |plan: &TopicPlan| {
@@ -62,7 +62,7 @@ pub(super) fn is_all_without_place(planned: &Planned) -> bool {
     planned.plan.frame.is_none() && observed.all(is_unplaced)
 }
 
-/// Tells what is not in the rows: frames, transforms, times.
+/// Reports what the rows do not contain: frames, transforms, times.
 pub(super) fn tell(planned: &Planned) {
     let Planned { surveyed, plan, .. } = planned;
     let places = |choice: FrameChoice, frame: &str| match choice {
@@ -117,7 +117,7 @@ pub(super) fn tell(planned: &Planned) {
     }
 }
 
-/// Tells of a topic of so many clouds that most of them say nothing new.
+/// Reports a topic with so many clouds that most of them add no information.
 pub(super) fn tell_fast_clouds(planned: &Planned) {
     let topics = planned.surveyed.topics.iter().zip(&planned.plan.topics);
     let clouds = topics.filter(|(_, plan)| plan.grid == Some(GridUse::Clouds));

@@ -1,7 +1,7 @@
 //! The map of an import: as it is, or created.
 //!
-//! Invariant: a map is created once, with a grid if the recording has scans, clouds or grids. What a map cannot take is
-//! told before anything is sent.
+//! Invariant: a map is created once, with a grid if the recording has scans, clouds or grids. Observations that a map
+//! cannot take are reported before anything is sent.
 
 use tidemap_client::maps::{GridSpec, Map, NewMap, OrderCriterion, StateKind, StateShape};
 use tidemap_model::{RowKind, StatedReporting};
@@ -22,7 +22,7 @@ const REAL_FROM_NANOS: i64 = 631_152_000 * 1_000_000_000;
 /// Edge of a cell of a new map, metres.
 const RESOLUTION_M: f64 = 0.1;
 
-/// What an import needs to know of the map.
+/// The data of the map that an import needs.
 pub(super) struct Prepared {
     /// The grid; absent if the map has none.
     pub(super) grid: Option<GridSpec>,
@@ -61,7 +61,7 @@ fn has_grid_use(planned: &Planned) -> bool {
     planned.plan.topics.iter().any(|plan| plan.grid.is_some())
 }
 
-/// Tells what of an existing map does not go with the recording.
+/// Reports the properties of an existing map that conflict with the recording.
 fn tell_of(map: &Map, planned: &Planned) {
     match &map.grid {
         None if has_grid_use(planned) => status_line(&format!(
@@ -125,7 +125,7 @@ async fn create(session: &Session, args: &ImportArgs, planned: &Planned) -> anyh
     Ok(made)
 }
 
-/// The first time of what is observed, by the clock that was asked for.
+/// The first time of the observations, by the chosen clock.
 fn first_nanos(planned: &Planned) -> Option<i64> {
     let topics = planned.surveyed.topics.iter().zip(&planned.plan.topics);
     let observed = topics.filter(|(_, plan)| plan.is_observed());

@@ -1,7 +1,7 @@
-//! Sends the observations of recordings. Those that the daemon already has are compared, not sent.
+//! Sends the observations of recordings. Observations that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all observations that the daemon has are compared. Once it is durable, each counts
-//! as accepted or refused for its topic, unless an earlier run had sent it.
+//! Invariant: nothing is sent before all observations that the daemon has are compared. Once an observation is durable,
+//! it counts as accepted or refused for its topic, unless an earlier run had sent it.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -38,8 +38,7 @@ pub(super) struct ImportTransfer {
     /// Replays the observations that the daemon already has; `None` once they are compared.
     replay: Option<Replay>,
     read: u64,
-    /// Topics of the observations that are sent and not known to be durable, the first one's number being
-    /// `first_open`.
+    /// Topics of the observations that are sent and not known to be durable; the first one has the number `first_open`.
     open: VecDeque<Option<usize>>,
     first_open: u64,
     dropped: u64,
@@ -78,7 +77,7 @@ impl ImportTransfer {
         &self.counts
     }
 
-    /// Takes what has arrived since the last wait, which may have been cut short.
+    /// Takes the refusals that have arrived since the last wait, which may have been cut short.
     pub(super) fn conclude(&mut self) {
         self.collect();
         let progress = self.producer.progress();
@@ -199,9 +198,9 @@ impl ImportTransfer {
         self.producer.go_on_from(replay.into_tiles()).await.map_err(TransferEnd::Stopped)
     }
 
-    /// Takes the refusals that have arrived, and counts what is durable.
+    /// Takes the refusals that have arrived, and counts the durable observations.
     fn collect(&mut self) {
-        // Read before the refusals, so that the refusals of all these observations have arrived.
+        // The durable number is read before the refusals, so that the refusals of all these observations have arrived.
         let durable = self.producer.progress().durable_sequence;
         for refusal in self.producer.take_refusals() {
             let place = refusal.sequence.checked_sub(self.first_open).and_then(|place| usize::try_from(place).ok());

@@ -1,7 +1,7 @@
-//! `tidemap info` without targets: where on the grid looking pays.
+//! `tidemap info` without targets: the areas of the grid where observations give most information.
 //!
-//! Invariant: an area's information is the sum over its known cells, each as `info --state cell/X/Y/Z` has it. Areas
-//! are squares of the map's frame, so that the same square has the same name at every time.
+//! Invariant: an area's information is the sum over its known cells, each as in `info --state cell/X/Y/Z`. Areas are
+//! squares of the map's frame, so that the same square has the same name at every time.
 
 use std::collections::HashMap;
 

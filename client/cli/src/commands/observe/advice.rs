@@ -1,4 +1,4 @@
-//! What a file looks like: advice about rows that are probably not what they were sent as.
+//! Advice about the content of a file: rows that are probably of another kind than they were sent as.
 //!
 //! Invariant: memory is bounded, whatever the file; advice changes nothing.
 
@@ -11,12 +11,12 @@ use super::next_steps::NextSteps;
 
 /// Maximum number of states that are watched.
 const STATES_MAX: usize = 10_000;
-/// With fewer rows a state looks like nothing.
+/// With fewer rows there is no advice about a state.
 const ROWS_MIN: u64 = 20;
-/// Share of rows that differ from the row before from which they look like changes.
+/// Share of rows that differ from the row before from which on they are probably changes.
 const CHANGES_MIN: f64 = 0.95;
 
-/// What was seen of a state.
+/// The statistics of the rows of a state.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     rows: u64,
@@ -27,20 +27,20 @@ struct Seen {
     /// Rows at the time of the first.
     at_first: u64,
     has_two_values: bool,
-    /// Rows that were refused for a word that nobody knows.
+    /// Rows that were refused for an unknown word.
     unknown_words: u64,
 }
 
-/// What was seen of a file.
+/// The statistics of the rows of a file.
 #[derive(Debug, Default)]
 pub(crate) struct RowAdvice {
     states: HashMap<String, Seen>,
-    /// Such rows of states without a valid row before them.
+    /// Rows with an unknown word, of states without a valid row before them.
     unknown_words: HashMap<String, u64>,
 }
 
 impl RowAdvice {
-    /// Looks at a valid row.
+    /// Counts a valid row.
     pub(crate) fn see(&mut self, row: &ObservationRow) {
         if row.position.is_some() || (self.states.len() >= STATES_MAX && !self.states.contains_key(&row.state)) {
             return;
@@ -61,7 +61,7 @@ impl RowAdvice {
         seen.has_two_values &= value == 0.0 || value == 1.0;
     }
 
-    /// Looks at a row that is refused for a word that nobody knows.
+    /// Counts a row that is refused for an unknown word.
     pub(crate) fn see_unknown_word(&mut self, row: &ObservationRow) {
         if let Some(seen) = self.states.get_mut(&row.state) {
             seen.unknown_words += 1;
@@ -70,7 +70,7 @@ impl RowAdvice {
         }
     }
 
-    /// What is to be told. `kind`: what the rows were sent as.
+    /// The lines of advice. `kind`: the kind as which the rows were sent.
     pub(crate) fn lines(&self, kind: RowKind, steps: &NextSteps<'_>) -> Vec<String> {
         let looks_like = |_: &str, seen: &Seen| {
             seen.rows >= ROWS_MIN && seen.has_two_values && seen.changes as f64 >= CHANGES_MIN * (seen.rows - 1) as f64
@@ -111,7 +111,7 @@ impl RowAdvice {
         lines
     }
 
-    /// The states of which this is true, in words, and the first of them; `None`: there are none.
+    /// The states to which this applies, in words, and the first of these states; `None`: there are none.
     fn states_that(&self, is_true: impl Fn(&str, &Seen) -> bool) -> Option<(String, &str)> {
         let mut names: Vec<&str> =
             self.states.iter().filter(|(name, seen)| is_true(name, seen)).map(|(name, _)| name.as_str()).collect();

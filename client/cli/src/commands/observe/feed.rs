@@ -1,7 +1,7 @@
 //! Reads the rows of a file, or of stdin, on a thread of its own, and reports invalid rows.
 //!
-//! Invariant: the memory for rows read ahead is bounded, whatever the size of the file. A row that arrives on stdin is
-//! passed on at once.
+//! Invariant: the memory for rows that are read in advance is bounded, whatever the size of the file. A row that
+//! arrives on stdin is passed on at once.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -24,7 +24,7 @@ const CHUNK_ROWS: usize = 1024;
 const CHUNKS_AHEAD: usize = 4;
 /// Refusals that are reported one by one.
 const REPORTED_MAX: u64 = 20;
-/// Of these, refusals that differ in their numbers only.
+/// The maximum number of these refusals that differ in their numbers only.
 const ALIKE_MAX: u64 = 3;
 
 /// Rows that were read together.
@@ -126,7 +126,7 @@ fn read<R: Read, L: Layout>(
     }
 }
 
-/// Reports invalid rows or scans: each reason once, of reasons that differ in their numbers only the first ones, then
+/// Reports invalid rows or scans: each reason once; if reasons differ only in their numbers, the first of them; then
 /// the number of the others.
 #[derive(Debug)]
 pub(crate) struct RefusalReport {
@@ -139,7 +139,7 @@ pub(crate) struct RefusalReport {
     kept: Option<RefusedRows>,
     /// Reasons that were reported.
     said: HashSet<String>,
-    /// How many were reported of reasons that are alike but for their numbers.
+    /// The number of reports for each reason, with all digits removed.
     alike: HashMap<String, u64>,
 }
 
@@ -164,7 +164,7 @@ impl RefusalReport {
         Self { kept, ..self }
     }
 
-    /// The rows that were kept, if that was asked for.
+    /// The rows that were kept, if a file for them was chosen.
     pub(crate) fn kept(&self) -> Option<&RefusedRows> {
         self.kept.as_ref()
     }

@@ -29,7 +29,7 @@ use crate::progress::status_line;
 /// Maximum number of states whose kinds are set by patterns.
 const STATES_MAX: usize = 10_000;
 
-/// A categorical state of as many labels as it has.
+/// A categorical state with any number of labels.
 const LABELLED: StateShape = StateShape::Categorical(0);
 
 /// Patterns of names with the kinds of the states that fit.
@@ -80,11 +80,10 @@ impl KindPatterns {
         self.0.iter().position(|(pattern, _)| matches(&pattern.chars().collect::<Vec<_>>(), &name))
     }
 
-    /// Which kinds the states of a file get. A pattern that no state fits is told.
+    /// Plans the kinds of the states of a file. A pattern that no state fits is reported.
     ///
     /// # Errors
-    /// A state exists with another kind, or its kind does not go with how it is reported; the file cannot be read
-    /// twice.
+    /// A state exists with another kind, or its kind does not fit its reporting; the file cannot be read twice.
     pub(super) async fn plan(
         &self,
         session: &Session,
@@ -150,7 +149,7 @@ impl KindPlan {
         Ok(())
     }
 
-    /// A state that exists with another kind: its name, the kind that it should have and the one that it has.
+    /// A state that exists with another kind: its name, the kind that it should have and the kind that it has.
     fn other(&self, known: &HashMap<String, StateShape>) -> Option<(&str, StateShape, StateShape)> {
         self.0.iter().find_map(|(name, shape)| {
             let is_same = |found: &StateShape| found == shape || (*shape == LABELLED && found.name() == shape.name());
@@ -169,7 +168,7 @@ async fn known_shapes(session: &Session, map: &str) -> anyhow::Result<HashMap<St
 fn states_of(file: &Path, rules: &RowRules) -> anyhow::Result<BTreeSet<String>> {
     let (mut rows, _) = feed::reader::<ObservationColumns>(file, rules)?;
     let mut states = BTreeSet::new();
-    // What is wrong with a row or a name is said when it is sent: such rows make no state.
+    // A fault of a row or a name is reported when the row is sent: such rows make no state.
     while let Some(item) = rows.next_item()? {
         let RowItem::Row(row) = item else { continue };
         if row.is_read && !states.contains(&row.state) && StateName::observed(&row.state).is_ok() {

@@ -22,7 +22,7 @@ pub(crate) struct Kinds {
     map: String,
     /// The kind that the user gave for all states of the file.
     given: Option<StateShape>,
-    /// None if the daemon could not say it: an angle or a vector, of which it describes the axes alone.
+    /// None if the daemon could not report it: an angle or a vector, of which it describes the axes alone.
     known: HashMap<String, Option<StateShape>>,
 }
 
@@ -43,7 +43,7 @@ impl Kinds {
         };
         match kind {
             _ if kind.allows(row.value) => None,
-            // The row says that no value is known.
+            // The row states that no value is known.
             _ if row.value.is_nan() && row.wrong.is_none() => None,
             // The reader's message quotes the file.
             StateShape::Scalar(StateKind::Probability) => row.wrong.clone(),
@@ -63,7 +63,7 @@ impl Kinds {
             Ok(model) => Some(model.kind.into()),
             // A new state.
             Err(error) if error.code() == Some(Code::NotFound) => Some(StateShape::default()),
-            // Remembered, too: each row would ask again.
+            // The failure is cached, too: otherwise each row would send a request again.
             Err(_) => None,
         };
         self.known.insert(state.to_owned(), kind);

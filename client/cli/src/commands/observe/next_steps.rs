@@ -1,6 +1,6 @@
-//! What the one who sends a file can do next: the commands that messages advise.
+//! The next steps of a user who sends a file: the commands that messages advise.
 //!
-//! Invariant: an advised command keeps the options that say how the file is read and what its rows are.
+//! Invariant: an advised command keeps the options that state how the file is read and what its rows are.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::{super::shell_word::quoted, base_name};
 /// The options of a file, each with a blank before it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FileWords {
-    /// How it is read, and how its states are reported.
+    /// The options for reading the file, and for the reporting of its states.
     pub(crate) words: String,
     /// The kinds of its states.
     pub(crate) kinds: String,
@@ -24,11 +24,11 @@ pub(super) struct NextSteps<'a> {
     shown: &'a str,
     /// The command without its file.
     again: String,
-    /// The label where it is not that of the file.
+    /// The label, if it is not the label of the file.
     label: String,
-    /// The command that sends the file in place of what was sent; stdin cannot be sent again.
+    /// The command that sends the file in place of the data that was sent; stdin cannot be sent again.
     replace: Option<String>,
-    /// As `replace`, without the options for kinds.
+    /// The command of `replace`, without the options for kinds.
     replace_without_kinds: Option<String>,
 }
 
@@ -82,12 +82,12 @@ impl<'a> NextSteps<'a> {
         format!("{erase}, and send the file anew: {}", self.replace.as_deref().unwrap_or("with another --label"))
     }
 
-    /// After rows were sent as readings that look like changes.
+    /// The advice after rows were sent as readings that are probably changes.
     pub(super) fn as_changes(&self, first: &str) -> String {
         self.otherwise(first, "--changes")
     }
 
-    /// After rows were sent as changes that look like events.
+    /// The advice after rows were sent as changes that are probably events.
     pub(super) fn as_events(&self, first: &str) -> String {
         self.otherwise(first, "--events in place of --changes")
     }
@@ -118,7 +118,7 @@ impl<'a> NextSteps<'a> {
         )
     }
 
-    /// After the file differs from what was sent. `another`: a free label.
+    /// The advice after the file differs from the data that was sent. `another`: a free label.
     pub(super) fn differs(&self, another: &str) -> String {
         let corrected = self.replace.as_ref().map_or_else(
             || {
@@ -154,7 +154,7 @@ mod tests {
         }
         assert!(steps.as_events("the door").contains("--state 'the door'"));
         assert!(steps.as_events("door").contains("--producer hub --events --local"));
-        // What would be refused beside the advised option is left out.
+        // Options that would be refused beside the advised option are left out.
         let kinds = FileWords { kinds: " --kinds 'a*=probability'".to_owned(), ..words };
         let steps = NextSteps::new(&options, "observe", &kinds, "x.csv");
         assert_eq!(steps.no_probabilities().matches("--kinds").count(), 1);

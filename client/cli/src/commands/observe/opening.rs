@@ -1,6 +1,7 @@
 //! Opens files of rows: text as it is, gzip unpacked. A file of another kind is refused with the command that takes it.
 //!
-//! Invariant: the content says what a file is, not its name. No more is read than a pipe has to give at once.
+//! Invariant: the content decides the kind of a file, not its name. No more bytes are read than a pipe has to give at
+//! once.
 
 use std::{
     fs::File,
@@ -18,7 +19,7 @@ const BUFFER_BYTES: usize = 256 * 1024;
 /// A file that is being read.
 pub(crate) type RowSource = BufReader<Box<dyn Read + Send>>;
 
-/// Starts of files that are no rows, and what to say of them.
+/// Starts of files that are no rows, and the messages about them.
 const KINDS: [(&[u8], &str); 21] = [
     (b"# .PCD", "is a point cloud (PCD): tidemap grid observe sends it"),
     (b"VERSION", "is a point cloud (PCD): tidemap grid observe sends it"),
@@ -59,7 +60,7 @@ pub(crate) fn display_name(path: &Path) -> String {
 /// Opens a file, or stdin if the path is `-`. Returns it with its size; `None` for pipes and packed files.
 ///
 /// # Errors
-/// It cannot be read, or has no rows.
+/// The file cannot be read, or has no rows.
 pub(crate) fn open(path: &Path) -> anyhow::Result<(RowSource, Option<u64>)> {
     let shown = || display_name(path);
     let (source, total_bytes): (Box<dyn Read + Send>, _) = if path.as_os_str() == "-" {
@@ -76,7 +77,7 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<(RowSource, Option<u64>)> {
     })
 }
 
-/// Looks at the start of a file; unpacks gzip. Returns whether it was packed.
+/// Checks the start of a file; unpacks gzip. Returns whether it was packed.
 fn looked_at(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSource, bool)> {
     let shown = || display_name(path);
     let mut source: RowSource = BufReader::with_capacity(BUFFER_BYTES, source);
@@ -91,7 +92,7 @@ fn looked_at(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSo
     }
 }
 
-/// Why the start of a file is not that of rows.
+/// The reason why the start of a file is not a start of rows.
 fn problem(start: &[u8]) -> Option<String> {
     if let Some(encoding) = wide_text(start) {
         return Some(format!(
@@ -119,7 +120,7 @@ fn wide_text(start: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// What to say of YAML: of a map server's file, or of a topological map.
+/// The message about YAML: a map server's file, or a topological map.
 fn yaml(start: &[u8]) -> Option<String> {
     let start = &start[..start.len().min(4096)];
     let text = match std::str::from_utf8(start) {

@@ -17,7 +17,7 @@ use crate::commands::usage;
 
 /// Maximum number of rows; a file with more of them is probably another kind of file.
 const ROWS_MAX: usize = 1_000_000;
-/// The columns before those of the file.
+/// The columns that are put before the columns of the file.
 const NOTES: &str = "line,refused,";
 
 /// Collects the refused rows of a file.
@@ -63,7 +63,7 @@ impl RefusedRows {
         self.lost += rows;
     }
 
-    /// Writes the rows, if there are any, and says what to do with them. `command` sends a file.
+    /// Writes the rows, if there are any, and returns advice about them. `command` sends a file.
     pub(crate) fn write(&self, command: &str) -> anyhow::Result<Option<String>> {
         if self.reasons.is_empty() && self.lost == 0 {
             return Ok(None);
@@ -165,7 +165,7 @@ mod tests {
         let expected = "line,refused,time,state,value\n4,\"value \"\"x\"\" is not a number\",2,\"a, b\",x\n\
                         5,\"2 fields\",3,door\n";
         assert_eq!(written, expected);
-        // What is still wrong there gets its new line and reason, and no second pair of columns.
+        // A row that is still wrong in that file gets its new line and reason, and no second pair of columns.
         assert_eq!(
             of_rows(expected, &[(3, "still, \"2\" fields")])?,
             "line,refused,time,state,value\n3,\"still, \"\"2\"\" fields\",3,door\n"

@@ -1,4 +1,4 @@
-//! What is said of a file's states, against what the map has of them.
+//! Compares the stated reporting of a file's states with the reporting in the map.
 //!
 //! Invariant: where they differ, nothing has been sent or withdrawn.
 
@@ -16,8 +16,8 @@ use super::{
 /// Maximum number of states that are compared.
 const STATES_MAX: usize = 10_000;
 
-/// Refuses a file of states that exist and are reported otherwise: its rows would be refused one by one, or, sent
-/// before, change nothing. A pipe can be read once only, and is not looked at.
+/// Refuses a file with states that exist with another reporting: its rows would be refused one by one, or change
+/// nothing if they were sent before. A pipe can be read only once, and is not checked.
 ///
 /// # Errors
 /// A state is reported otherwise; the file or the states cannot be read.
@@ -42,7 +42,7 @@ pub(super) async fn check(
     }
     let mut named: HashSet<String> = HashSet::new();
     let (mut rows, _) = feed::reader::<ObservationColumns>(file, rules)?;
-    // What is wrong with a row is said when it is sent.
+    // A fault of a row is reported when the row is sent.
     while let Ok(Some(item)) = rows.next_item() {
         if let RowItem::Row(row) = item
             && !named.contains(&row.state)

@@ -1,6 +1,6 @@
 //! Sends the rows of a file. Rows that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once a row is durable, it counts as
 //! exactly one of accepted, duplicate and refused.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,7 +22,7 @@ use tidemap_formats::observation_file::{
     Layout as _, ObservationColumns, ObservationRow, RowPlace, sightings::SightingRow, traversals::TraversalRow,
 };
 
-/// Maximum number of states that are compared with those of the map.
+/// Maximum number of states that are compared with the states of the map.
 const STATES_MAX: usize = 10_000;
 
 /// A row that can be sent.
@@ -31,7 +31,7 @@ pub(crate) trait Sendable {
     /// Adds the row to the checksum of the content.
     fn add_to(&self, crc: &mut ContentCrc);
     fn send(&self, producer: &mut Producer) -> impl Future<Output = Result<u64, ProducerError>>;
-    /// Why the row is invalid, as far as the client can tell.
+    /// Why the row is invalid, as far as the client can detect.
     fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
     /// The row as an observation of a state.
     fn observation(&self) -> Option<&ObservationRow>;
@@ -131,7 +131,7 @@ pub(crate) trait Transfer {
     fn flush(&mut self) -> impl Future<Output = Result<(), ProducerError>>;
 }
 
-/// How a transfer ended, once what was sent before is durable: what comes before an error in a file counts.
+/// The end of a transfer, after all data that was sent before is durable: rows before an error in a file count.
 pub(crate) async fn ended(transfer: &mut impl Transfer, end: TransferEnd) -> TransferEnd {
     match end {
         TransferEnd::Unreadable(error) => {
@@ -141,13 +141,13 @@ pub(crate) async fn ended(transfer: &mut impl Transfer, end: TransferEnd) -> Tra
     }
 }
 
-/// How a transfer of rows or scans ended.
+/// The end of a transfer of rows or scans.
 pub(crate) enum TransferEnd {
     /// Everything is durable.
     Whole,
     /// By Ctrl-C.
     Interrupted,
-    /// The content differs from what was sent before; how.
+    /// The content differs from the data that was sent before; the text states how.
     Differs(String),
     /// A file cannot be read further.
     Unreadable(anyhow::Error),
@@ -165,7 +165,7 @@ pub(super) struct RowCounts {
     pub(super) refused: u64,
     /// Sent rows whose value is a word.
     pub(super) mapped: u64,
-    /// Sent rows that say that no value is known.
+    /// Sent rows that state that no value is known.
     pub(super) without_value: u64,
 }
 
@@ -281,7 +281,7 @@ impl<T: Sendable> RowTransfer<T> {
             self.refused += 1;
             self.wrong.insert(number);
             self.report.refused(number, Some(line), &wrong);
-            // A word that nobody knows.
+            // An unknown word.
             if let Some(row) = row.observation().filter(|_| wrong.contains("--values")) {
                 self.seen.see_unknown_word(row);
             }
@@ -293,12 +293,12 @@ impl<T: Sendable> RowTransfer<T> {
         Ok(())
     }
 
-    /// What the rows look like. `kind`: what they were sent as.
+    /// Advice about the content of the rows. `kind`: the kind as which they were sent.
     pub(super) fn advice(&self, kind: RowKind, steps: &NextSteps<'_>) -> Vec<String> {
         self.seen.lines(kind, steps)
     }
 
-    /// Names of the states of rows that were sent before, some of them if there are many.
+    /// Names of the states of rows that were sent before, only some if there are many.
     pub(super) fn sent_before_states(&self) -> &BTreeSet<String> {
         &self.before
     }

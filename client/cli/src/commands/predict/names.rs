@@ -1,6 +1,6 @@
 //! The states that a command means: names, patterns of names, or all.
 //!
-//! Invariant: a pattern that no name fits is told, with names that exist.
+//! Invariant: a pattern that no name fits is reported, with names that exist.
 
 use tidemap_client::maps::State;
 
@@ -29,7 +29,7 @@ pub(crate) async fn all(session: &Session, map: &str) -> anyhow::Result<Vec<Stri
     Ok(states(session, map).await?.into_iter().map(|state| state.name).collect())
 }
 
-/// The names that are meant: patterns are replaced by the names that fit, in their order; without any, all names.
+/// The selected names: patterns are replaced by the names that fit, in their order; without any, all names.
 pub(crate) async fn meant(session: &Session, map: &str, names: Vec<String>) -> anyhow::Result<Vec<String>> {
     if !names.is_empty() && !names.iter().any(|name| is_pattern(name)) {
         return Ok(names);

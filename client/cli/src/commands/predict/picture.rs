@@ -80,7 +80,7 @@ impl<'a> Drawn<'a> {
         if self.plot.curves.len() > CURVES_MAX { self.strips(COLUMNS_MAX[1]).svg() } else { self.plot.svg() }
     }
 
-    /// A row for each state, in their order, and at most so many columns.
+    /// A row for each state, in their order, and at most `columns_max` columns.
     fn strips(&self, columns_max: usize) -> HeatMap {
         let step = self.times.len().div_ceil(columns_max).max(1);
         let mean = |values: &[Option<f64>]| {
@@ -107,7 +107,7 @@ impl<'a> Drawn<'a> {
 }
 
 /// The row of a state: probabilities as they are, other numbers from the least to the greatest, which the name shows.
-/// With one scale for all, a temperature would make every door look shut.
+/// With one scale for all, a temperature would show every door as shut.
 fn strip(name: &str, values: Vec<Option<f64>>) -> (String, Vec<Option<f64>>) {
     let known = || values.iter().flatten().copied();
     if known().all(|value| (0.0..=1.0).contains(&value)) {

@@ -1,6 +1,6 @@
 //! A recording of a robot with a 3-D scanner in a hall with pillars.
 //!
-//! Invariant: what the scanner sees follows from where the robot is at that time.
+//! Invariant: the points follow from the position of the robot at that time.
 
 use std::{
     f64::consts::{PI, TAU},
@@ -15,7 +15,7 @@ use super::{CloudArgs, START_SECS, SampleFile};
 
 const CLOUDS_A_SECOND: i64 = 10;
 const SEC_NANOS: i64 = 1_000_000_000;
-/// Rings of the scanner, points of each, and the highest and lowest of them, radians.
+/// Rings of the scanner, points of each ring, and the elevation of the highest and lowest ring, radians.
 const RINGS: u32 = 64;
 const RING_POINTS: u32 = 1_563;
 const HIGHEST_RAD: f64 = 0.4;

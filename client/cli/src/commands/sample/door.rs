@@ -1,6 +1,6 @@
 //! One door, as a robot saw it that passes it now and then.
 //!
-//! Invariant: the door is one of the simulated office.
+//! Invariant: the door is a door of the simulated office.
 
 use std::{fs, path::Path};
 

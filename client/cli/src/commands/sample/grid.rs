@@ -1,6 +1,6 @@
 //! Scans of a simulated office of real size.
 //!
-//! Invariant: the office is that of the published measurements: 213,000 cells of 0.1 m, of which 15,000 change.
+//! Invariant: the office is the office of the published measurements: 213,000 cells of 0.1 m, of which 15,000 change.
 
 use std::{fs, path::Path};
 

@@ -1,6 +1,6 @@
 //! A home with forty sensors, as a hub exports them: rows at changes only, local times, the hub's columns and words.
 //!
-//! Invariant: one sensor is out of reach for a week, and says so; clocks are set forward once.
+//! Invariant: one sensor is out of reach for a week, and its rows state this; clocks are set forward once.
 
 use std::{fmt::Write as _, fs, path::Path};
 
@@ -53,7 +53,7 @@ pub(super) fn write(folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
         if is_gone && away {
             continue;
         }
-        // It was away with its last value until the first change after the week.
+        // The sensor was away with its last value until the first change after the week.
         away = if name == AWAY { is_gone } else { away };
         let word = match (is_gone, change.is_on) {
             (true, _) => "unavailable",

@@ -1,4 +1,5 @@
-//! The simulated office: what three robots saw, where they drove, and the week after, to compare predictions with.
+//! The simulated office: the observations and the drives of three robots, and the week after, for comparison with
+//! predictions.
 //!
 //! Invariant: a traversal fails if the door on its edge is shut, and now and then because something stands in the way.
 
@@ -23,7 +24,7 @@ const NODES: [(&str, f64, f64); 10] = [
     ("storage", 15.0, -6.0),
     ("back-door", -4.0, -10.0),
 ];
-/// Edges in both directions, with the state of the door on them.
+/// Edges in both directions, each with the state of its door.
 const EDGES: [(&str, &str, Option<&str>); 10] = [
     ("entrance", "corridor", Some("entrance-door")),
     ("corridor", "office-1", Some("office-1-door")),

@@ -1,6 +1,6 @@
 //! A recording of a robot in a corridor with two doors.
 //!
-//! Invariant: what the scanner sees follows from the doors at that time.
+//! Invariant: the ranges follow from the doors at that time.
 
 use std::{
     f64::consts::TAU,
@@ -21,7 +21,7 @@ const RAYS: u32 = 360;
 /// Half the length and half the width of the corridor, metres.
 const HALF_LENGTH: f64 = 6.0;
 const HALF_WIDTH: f64 = 1.0;
-/// How far the rooms behind the doors reach, metres.
+/// The depth of the rooms behind the doors, metres.
 const DEPTH: f64 = 4.0;
 
 /// A door in a long wall: from where to where along the corridor, and whether in the wall on the left.
@@ -86,7 +86,7 @@ pub(super) fn write(folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
     ])
 }
 
-/// Which doors are open: the left one from 8 to 18 o'clock from Monday to Friday, the right one from 12 to 14.
+/// Whether each door is open: the left one from 8 to 18 o'clock from Monday to Friday, the right one from 12 to 14.
 fn is_open(zone: &Zone, time_nanos: i64) -> [bool; 2] {
     let weekday = zone.day_of(time_nanos).weekday();
     let hour = (time_nanos / SEC_NANOS + i64::from(zone.offset_secs(time_nanos))).rem_euclid(86_400) / 3600;

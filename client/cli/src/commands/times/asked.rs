@@ -1,7 +1,7 @@
-//! The times that a prediction is asked for: `--at`, `--date`, `--times`, or `--from` with `--to` and `--step`.
+//! The times of a prediction: `--at`, `--date`, `--times`, or `--from` with `--to` and `--step`.
 //!
-//! Invariant: at least one time, in the order in which they are asked for. Times without a zone are read in the map's
-//! zone, and only with `--local` or `--date`.
+//! Invariant: at least one time, in the order of the options. Times without a zone are read in the map's zone, and only
+//! with `--local` or `--date`.
 
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ pub(crate) struct AskedTimesArgs {
 }
 
 impl AskedTimesArgs {
-    /// The times that are asked for.
+    /// The requested times.
     pub(crate) async fn asked(&self, session: &Session, map: &str) -> anyhow::Result<Vec<i64>> {
         let zone = match self.local || self.date.is_some() {
             true => Some(Zone::named(&session.client.map(map).await?.time_zone)?),

@@ -1,6 +1,6 @@
 //! Maps written as trees, and read by the reader, which shares no code that matters with the writer.
 //!
-//! Invariant: what is expected follows from the cells of the picture, not from the tree.
+//! Invariant: expected values follow from the cells of the picture, not from the tree.
 
 use std::collections::BTreeMap;
 

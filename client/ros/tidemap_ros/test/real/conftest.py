@@ -1,4 +1,4 @@
-"""A real daemon, the real node in a process of its own, and a peer that talks ROS with it."""
+"""A real daemon, the real node in a process of its own, and a peer that exchanges ROS messages with it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 import tidemap
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# As deep as what a test sends: a sender forgets what does not fit, also if it is reliable.
+# The depth holds all messages of a test: a sender forgets messages that do not fit, also if it is reliable.
 RELIABLE = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 PATIENCE_SECS = 60.0
 
@@ -53,7 +53,7 @@ class Peer:
         self.node.destroy_node()
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile = RELIABLE) -> Any:
-        """A publisher that somebody listens to."""
+        """A publisher that has a subscriber."""
         made = self.node.create_publisher(kind, topic, qos)
         until(lambda: made.get_subscription_count() > 0, f"a subscription of {topic}")
         return made
@@ -181,7 +181,7 @@ def pytest_runtest_makereport(item, call):
 
 
 def values(message: Any) -> dict[str, dict[str, str]]:
-    """Of a message of diagnostics, the values of each line, with its level and message."""
+    """The values of each line of a diagnostics message, with its level and message."""
     found = {}
     for line in message.status:
         name = line.name.partition(": ")[2]

@@ -51,7 +51,7 @@ STARTS, CLOSES, ENDS = nanos_of("17:30"), nanos_of("18:00"), nanos_of("18:30")
 
 
 def seen(x: float, is_open: bool, nanos: int) -> LaserScan:
-    """What a scanner in the middle of the corridor sees."""
+    """The view of a scanner in the middle of the corridor."""
     angles = 2 * np.pi * np.arange(RAYS) / RAYS
     cos, sin = np.cos(angles), np.sin(angles)
     with np.errstate(divide="ignore"):
@@ -69,7 +69,7 @@ def seen(x: float, is_open: bool, nanos: int) -> LaserScan:
 
 
 def door_cells(grid: OccupancyGrid) -> np.ndarray:
-    """Of each column of cells in the door, the worse one of the two rows that the wall lies between."""
+    """For each column of cells in the door, the worse one of the two rows that the wall lies between."""
     cells = np.array(grid.data, dtype=np.int8).reshape(grid.info.height, grid.info.width)
     edge, corner = grid.info.resolution, grid.info.origin.position
     row = round((HALF_WIDTH - corner.y) / edge)
@@ -78,7 +78,7 @@ def door_cells(grid: OccupancyGrid) -> np.ndarray:
 
 
 def corridor_learned(bench) -> int:
-    """The map `corridor`, made of two weeks in which the door was open from 8 to 18 o'clock; the number of scans."""
+    """The map `corridor`, made from two weeks in which the door was open from 8 to 18 o'clock; the number of scans."""
     program, told = command(), {**os.environ, "TIDEMAP_SERVER": bench.server}
     folder = bench.folder / "recording"
     subprocess.run([program, "sample", "recording", folder], check=True, capture_output=True)
@@ -114,7 +114,7 @@ def drive(bench, peer, heard: list[OccupancyGrid], before: int) -> None:
             until(lambda count=count: scans_of(bench) == before + count, f"the scans until {clock_of(nanos)}")
 
             def is_shown(now=now, nanos=nanos) -> bool:
-                # /clock is not reliable: whoever publishes it says the same time more than once.
+                # /clock is not reliable: the test publishes each time more than once.
                 clock.publish(now)
                 return bool(heard) and shown_nanos(heard[-1]) >= nanos
 
@@ -125,7 +125,7 @@ def test_the_map_changes_when_a_door_closes(bench, peer):
     before = corridor_learned(bench)
     bench.node(
         map="corridor", producer="robot-1", use_sim_time=True, transform_topics=["/transforms"], map_period=0.1,
-        # Here 30 s of data time are over in a moment: transforms are kept for longer, until their scans have come.
+        # Here 30 s of data time are over in a moment: transforms are kept longer, until their scans have come.
         model="auto+memory", tf_kept=600.0,
     )
     heard = peer.heard(OccupancyGrid, "/map", LATCHED)
@@ -152,7 +152,7 @@ def test_the_map_changes_when_a_door_closes(bench, peer):
     def door_at(words: str) -> np.ndarray:
         return door_cells(peer.ask(LoadMap, "/tidemap/get_map_at", LoadMap.Request(map_url=words)).map)
 
-    # It has just been seen closed, but tomorrow is what was learned.
+    # The door has just been seen closed, but the prediction for tomorrow is the learned one.
     assert (door_at("+4h") == 100).all() and (door_at("2025-01-21T12:00:00Z") == 0).all()
     print(f"\nan hour of data time, {scans_of(bench) - before} scans and {len(heard)} maps, took {took:.1f} s; "
           f"the door closed at {clock_of(CLOSES)}, and the map had it closed at {clock_of(changes)}")

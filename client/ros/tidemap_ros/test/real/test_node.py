@@ -81,7 +81,8 @@ def test_scans_become_the_map_that_a_late_joiner_gets(bench, peer):
     assert bench.client.map("office")["grid_summary"]["scans"] == 10
     late = peer.heard(OccupancyGrid, "/map")
     message = until(lambda: late and late[-1], "a latched map")
-    # The last scan was taken at x = 0.95, between two transforms: its wall ahead is at 5.97. Nearer, all is free.
+    # The last scan was taken at x = 0.95, between two transforms: the wall in front of it is at 5.97. Nearer, all is
+    # free.
     assert (message.header.frame_id, round(message.info.resolution, 6)) == ("map", 0.1)
     assert cell(message, 5.95, 0.05) == 100 and cell(message, 2.05, 0.05) == 0 and -1 in message.data
     reply = peer.ask(GetMap, "/tidemap/get_map", GetMap.Request())
@@ -142,7 +143,7 @@ def test_the_map_at_any_time(bench, peer):
     until(lambda: cell(heard[-1], 3.75, 2.25) == 100, "the map of the night")
     refused = change("at noon")
     assert not refused.successful and "at noon" in refused.reason
-    # The map grows; what is published does not.
+    # The map grows; the published region does not.
     later, far = [np.datetime64("2026-01-20T00", "ns")], np.ones((1, 2, 2), np.int8)
     bench.client.observe_grids("office", later, far, first_cell=(40, 40, 0), label="far")
     count = len(heard)
@@ -272,7 +273,7 @@ def test_a_daemon_that_no_longer_answers_costs_nothing(bench, peer):
     rows = observed(300)
     say(observe, rows[:100])
     until(lambda: last_values(heard, "daemon").get("records durable") == "100", "the first hundred")
-    # As when the network is away: nothing is refused, and nothing is answered.
+    # This acts like a lost network: nothing is refused, and nothing is answered.
     process = bench.daemon._process
     process.send_signal(signal.SIGSTOP)
     try:

@@ -1,4 +1,4 @@
-"""How fast it is, and that nothing is lost at that speed. Figures are printed, not asserted."""
+"""Speed of the node, and that nothing is lost at that speed. Figures are printed, not asserted."""
 
 from __future__ import annotations
 

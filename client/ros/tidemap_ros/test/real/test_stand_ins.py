@@ -1,4 +1,4 @@
-"""What needs packages that are not on the index, with stand-ins for their types."""
+"""Tests of the parts that need packages that are not on the index, with stand-ins for their types."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tidemap_ros.parameters import Settings
 
 
 class RouteServer:
-    """A client of DynamicEdges, and what it was asked."""
+    """A client of DynamicEdges, and the requests that it received."""
 
     srv_name = "/route_server/adjust_edges"
 
@@ -42,7 +42,7 @@ def edge(start: str, end: str, success: float, secs: float = 10.0) -> dict:
 
 
 def outputs(predicted: list[dict]) -> SimpleNamespace:
-    """As much of the outputs as the call needs."""
+    """The part of the outputs that the call needs."""
     ends = {3: ("hall", "lab"), 4: ("lab", "hall")}
     return SimpleNamespace(
         _settings=Settings({}), _closed=set(), _predicted=lambda: predicted,
@@ -66,7 +66,7 @@ def test_the_route_server_hears_which_edges_are_closed_and_opened_again():
     predicted[0]["success"] = 0.9
     server.succeeds = False
     assert reprice().opened_edges == [3]
-    # It was refused: the edge is still closed there.
+    # The request was refused: the edge is still closed there.
     server.succeeds = True
     assert reprice().opened_edges == [3]
     assert reprice().opened_edges == []

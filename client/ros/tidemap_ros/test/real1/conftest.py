@@ -1,4 +1,4 @@
-"""What the tests of the node for ROS 1 need: a master of ROS for all of them, a daemon and a node for each."""
+"""Fixtures of the tests of the node for ROS 1: one master of ROS for all tests, a daemon and a node for each test."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ try:
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray
 except ImportError:
-    # Each module of tests is skipped then, and says so.
+    # Each module of tests is skipped then, and pytest reports it.
     rospy = None
 
 

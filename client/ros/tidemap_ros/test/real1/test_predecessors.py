@@ -22,8 +22,8 @@ MONDAY = 1_767_571_200
 # Made with genmsg from the definitions as they are published in strands-project/fremen:
 # FremenServer/action/Fremen.action of commit 84e5bf74b684707f9f197d471203b8f8e54edbac (with `detect`) and of
 # 097cdb66500e02e90bd910f33270475278521fbb (without), frenap/action/TopologicalPrediction.action of
-# 2fb4f5044522e2d4c2cddc7d0fd3d758b29e5e5a. Those of Action, Goal and Result of the first are also in the code that
-# catkin has generated in workspaces of users: AdrianKlei/Studienarbeit and AdrianKlei/fremen_ws.
+# 2fb4f5044522e2d4c2cddc7d0fd3d758b29e5e5a. The definitions of Action, Goal and Result of the first are also in the code
+# that catkin has generated in workspaces of users: AdrianKlei/Studienarbeit and AdrianKlei/fremen_ws.
 FEEDBACK_SUMS = {"Feedback": "4fe5af303955c287688e7347e9b00278", "ActionFeedback": "82e97615735594b25e2cee3da22d3eb7"}
 SUMS = [
     (action_types.FREMEN, {
@@ -92,7 +92,7 @@ TESTS = {"times": NEXT_DAY.tolist(), "states": is_open(NEXT_DAY).tolist()}
 def taught(bench, **parameters) -> Peer:
     bench.start(create_map=True, map_topic="", fremen_action="/fremenserver", **parameters)
     peer = Peer("/fremenserver", action_types.FREMEN)
-    # Half of it, then all again, as clients of fremenserver do.
+    # Teaches half of the readings, then all of them again, as clients of fremenserver do.
     for part, added in ((TWO_WEEKS[:1000], 1000), (TWO_WEEKS, 1016), (TWO_WEEKS, 0)):
         result = peer.done(operation="add", id="door", times=part.tolist(), states=is_open(part).tolist())
         assert result.success == added and "door" in result.message
@@ -104,7 +104,7 @@ def test_a_client_of_fremenserver_learns_and_predicts(bench):
     rospy.Subscriber("/fremenserver_start", Bool, lambda message: heard.append(message.data))
     peer = taught(bench)
     until(lambda: heard == [True], "the word that the server has started")
-    # What the action says is durable is there.
+    # The data that the action reports as durable is there.
     assert len(bench.history("door")) == len(TWO_WEEKS)
 
     predicted = peer.done(operation="predict", id="door", times=NEXT_DAY.tolist(), order=2)
@@ -137,7 +137,7 @@ def test_a_client_of_fremenserver_learns_and_predicts(bench):
 
 
 def test_the_rhythms_that_are_viewed_are_those_that_predict(bench):
-    # Local time is ahead of UTC, which times of goals are in.
+    # Local time is later than UTC, and times of goals are in UTC.
     peer = taught(bench, time_zone="Europe/Prague")
     seen = peer.done(operation="view", id="door", order=2)
     assert seen.success == 2 and len(seen.errors) == 3
@@ -211,7 +211,8 @@ def test_a_daemon_that_is_stopped_is_told_and_then_used_again(bench):
 
 def test_clients_of_the_definition_before_detect(bench):
     bench.start(create_map=True, map_topic="", fremen_action="/before/fremenserver", fremen_detect=False)
-    # Another name, for a process of ROS 1 has one type a topic, and the tests above are clients of the newest.
+    # The action has another name, because a process of ROS 1 has one type for each topic, and the tests above are
+    # clients of the newest type.
     peer = Peer("/before/fremenserver", action_types.FREMEN_BEFORE_DETECT)
     assert peer.done(operation="add", id="door", times=[1, 2, 3], states=[True, True, False]).success == 3
     assert peer.done(operation="predict", id="door", times=[9]).probabilities[0] == pytest.approx(2 / 3, abs=0.2)

@@ -1,4 +1,4 @@
-//! What of maps is not used, or not as it is, for the one who sends them.
+//! Counts of the cells of maps that are not used, or are used with a changed value, for the user who sends them.
 //!
 //! Invariant: every cell of a 2D map is used as it is, or counted once.
 
@@ -11,26 +11,27 @@ use super::Between;
 pub(crate) struct CellCounts {
     /// Cells of 2D maps.
     pub(super) all: u64,
-    /// Of these, cells that are unknown; in mode trinary these lie between the thresholds.
+    /// The unknown ones of these cells; in mode trinary these lie between the thresholds.
     pub(super) unknown: u64,
     /// Cells with a probability between free and occupied that are left out.
     pub(super) left: u64,
-    /// Such cells that count as free.
+    /// Cells with a probability between free and occupied that count as free.
     pub(super) as_free: u64,
-    /// Such cells that count as occupied.
+    /// Cells with a probability between free and occupied that count as occupied.
     pub(super) as_occupied: u64,
-    /// From which probability on.
+    /// The probability from which on cells count as occupied.
     pub(super) from: Option<f64>,
     /// Cells of the grid's size that lie outside of the grid.
     pub(super) outside: u64,
     /// Pixels of value 205 that count as free.
     pub(super) free_205: u64,
-    /// By which threshold.
+    /// The threshold of free cells.
     pub(super) free_thresh: Option<f64>,
 }
 
 impl CellCounts {
-    /// The reading of a cell of a 2D map: whether it is occupied; `None` if it has none. Counts it.
+    /// Converts a cell of a 2D map to a reading, and counts it: whether the cell is occupied; `None` if it gives no
+    /// reading.
     pub(super) fn reading(&mut self, cell: GridCell, mode: GridMode, between: Between) -> Option<bool> {
         self.all += 1;
         match (cell, between) {
@@ -65,7 +66,7 @@ impl CellCounts {
         }
     }
 
-    /// Adds those of another map.
+    /// Adds the counts of another map.
     pub(crate) fn add(&mut self, other: &CellCounts) {
         self.all += other.all;
         self.unknown += other.unknown;
@@ -78,7 +79,7 @@ impl CellCounts {
         self.free_thresh = other.free_thresh.or(self.free_thresh);
     }
 
-    /// What to say of them.
+    /// The messages about the counts.
     pub(crate) fn notices(&self) -> Vec<String> {
         let CellCounts { all, unknown, left, as_free, as_occupied, from, outside, free_205, free_thresh } = *self;
         let mut notices = Vec::new();

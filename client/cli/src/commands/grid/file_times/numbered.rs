@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use super::name_of;
 
-/// What the numbers in the names say against even times: a gap, or another order.
+/// The conflicts between the numbers in the names and even times: a gap, or another order.
 pub(super) fn notice(files: &[PathBuf]) -> Option<String> {
     let names: Vec<String> = files.iter().map(|file| name_of(file)).collect();
     let parts = names.iter().map(|name| numbered(name)).collect::<Option<Vec<_>>>()?;
@@ -36,7 +36,7 @@ pub(super) fn notice(files: &[PathBuf]) -> Option<String> {
     ))
 }
 
-/// A name in three parts: what is before its last number, the number, and what is after it, without the ending.
+/// A name in three parts: the text before its last number, the number, and the text after it, without the ending.
 fn numbered(name: &str) -> Option<(&str, u64, &str)> {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
     let end = stem.rfind(|character: char| character.is_ascii_digit())? + 1;

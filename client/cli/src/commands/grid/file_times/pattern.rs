@@ -1,4 +1,4 @@
-//! Times in the names of files, by a pattern as that of strptime.
+//! Times in the names of files, by a pattern like the patterns of strptime.
 //!
 //! Invariant: a name that does not match the whole pattern is refused, with the name and the pattern.
 
@@ -75,7 +75,7 @@ impl NamePattern {
 fn file_time(read: &BrokenDownTime) -> Option<FileTime> {
     if read.offset().is_some() || read.timestamp().is_some() || read.iana_time_zone().is_some() {
         let nanos = read.to_timestamp().ok()?.as_nanosecond();
-        // Of seconds since 1970, jiff leaves the fraction out.
+        // For seconds since 1970, jiff omits the fraction.
         let fraction = read.subsec_nanosecond().filter(|_| read.timestamp().is_some() && nanos % 1_000_000_000 == 0);
         return nanos_of(nanos + i128::from(fraction.unwrap_or(0))).map(FileTime::Utc);
     }

@@ -1,7 +1,7 @@
 //! Sends the scans of files. Scans that the daemon already has are compared, not sent.
 //!
-//! Invariant: nothing is sent before all scans that the daemon has are compared. Once it is durable, each scan counts
-//! as exactly one of accepted, duplicate and refused.
+//! Invariant: nothing is sent before all scans that the daemon has are compared. Once a scan is durable, it counts as
+//! exactly one of accepted, duplicate and refused.
 
 use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Replay, tiles::TileError};
 use tokio::{sync::watch, task::JoinHandle};

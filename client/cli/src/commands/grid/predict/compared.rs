@@ -1,4 +1,4 @@
-//! `tidemap grid predict` at several times: the maps beside each other, and of two their difference.
+//! `tidemap grid predict` at several times: the maps beside each other, and the difference if there are two.
 //!
 //! Invariant: all maps are of one region and of one size; nothing is drawn before all predictions have arrived.
 
@@ -14,7 +14,7 @@ use crate::{
     progress::status_line,
 };
 
-/// Maximum number of maps beside each other: the hours of a day that is an hour longer.
+/// Maximum number of maps beside each other: the hours of a day that is one hour longer.
 const MAPS_MAX: usize = 25;
 /// From this difference of probabilities on, a cell counts as different.
 const DIFFERENT: f32 = 0.5;
@@ -82,7 +82,7 @@ pub(super) async fn run(
     }
 }
 
-/// How many cells differ between two times.
+/// The number of cells that differ between two times.
 fn changed(before: &MapPicture, after: &MapPicture, [from, to]: [&str; 2]) -> String {
     let differences = before.cells.iter().zip(&after.cells).filter_map(|(before, after)| before.difference(*after));
     let (mut fuller, mut freer) = (0_u64, 0_u64);

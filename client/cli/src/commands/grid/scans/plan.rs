@@ -53,8 +53,8 @@ pub(in crate::commands::grid) enum ScanPlan {
     Each(Vec<(PathBuf, FileKind)>, ScanOptions),
 }
 
-/// The files that paths name: a folder stands for its files with a known ending, by name. The image of a 2D map whose
-/// YAML file is named, too, is left out: both are one map.
+/// The files that paths name: a folder means its files with a known ending, by name. The image of a 2D map is left out
+/// if its YAML file is also named: both are one map.
 ///
 /// # Errors
 /// A folder cannot be read, or has no such file.
