@@ -3,10 +3,10 @@
 //! Invariant: a list of numbers has the length that the model requires; the reader checks that. Lists of singles are
 //! IEEE 754 singles of four bytes, little-endian.
 
-/// All that an ensemble of probabilities has learned; absent where it is not enabled.
+/// The learned data of an ensemble of probabilities; absent where the ensemble is not enabled.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Ensemble {
-    /// Sum and number of all bins.
+    /// Sum and number of all half-hour bins.
     #[prost(fixed64, repeated, tag = "1")]
     pub bins_bits: Vec<u64>,
     /// The last learned day, in days since 1970-01-01.
@@ -16,18 +16,18 @@ pub struct Ensemble {
     /// weights of priors.
     #[prost(bytes = "vec", tag = "3")]
     pub all: Vec<u8>,
-    /// Likewise of the table with a half-life of a week.
+    /// The same numbers for the table with a half-life of a week.
     #[prost(bytes = "vec", tag = "4")]
     pub recent: Vec<u8>,
     /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest bins, below 0 for
     /// none.
     #[prost(bytes = "vec", tag = "5")]
     pub alike: Vec<u8>,
-    /// Of each of 126 days, by its number modulo 126: bits by half-hour in 8 bytes, then 48 values of four bits, in
+    /// Values of 126 days, each at its number modulo 126: bits by half-hour in 8 bytes, then 48 values of four bits, in
     /// fourteenths, the earlier in the lower bits. Empty before the first day.
     #[prost(bytes = "vec", tag = "6")]
     pub recall: Vec<u8>,
-    /// Of each of 42 days, by its number modulo 42: 48 signed bytes. Empty before the first day.
+    /// Residuals of 42 days, each at its number modulo 42: 48 signed bytes. Empty before the first day.
     #[prost(bytes = "vec", tag = "7")]
     pub residuals: Vec<u8>,
     /// The last day of the residuals.
@@ -54,19 +54,19 @@ pub struct Ensemble {
     /// Singles of the stack that forgets slowly: 105 sums of squares, 14 of products, 14 weights.
     #[prost(bytes = "vec", tag = "15")]
     pub slow_stack: Vec<u8>,
-    /// Likewise of the stack that forgets fast.
+    /// The same numbers for the stack that forgets fast.
     #[prost(bytes = "vec", tag = "16")]
     pub fast_stack: Vec<u8>,
     /// Singles: the losses of the members.
     #[prost(bytes = "vec", tag = "17")]
     pub losses: Vec<u8>,
-    /// The classes of the time ahead, the shortest first.
+    /// The classes of lead times, the shortest first.
     #[prost(message, repeated, tag = "18")]
     pub classes: Vec<Class>,
     /// Singles: sums of the correction, then of the dependence of neighbouring half-hours.
     #[prost(bytes = "vec", tag = "19")]
     pub calibration: Vec<u8>,
-    /// The smooth table by hour of weekdays, then of weekends; empty where there is none.
+    /// The smooth table by hour of weekdays, then of weekends; empty if there is none.
     #[prost(fixed64, repeated, tag = "20")]
     pub smooth_bits: Vec<u64>,
     /// The number of bins for which the smooth table was made.
@@ -80,29 +80,30 @@ pub struct FiveDays {
     /// The first observed day.
     #[prost(sint32, tag = "1")]
     pub day: i32,
-    /// Their mean, the bits of a single.
+    /// Mean of the bins, the bits of a single.
     #[prost(fixed32, tag = "2")]
     pub mean_bits: u32,
-    /// Their number, the bits of a single.
+    /// Number of the bins, the bits of a single.
     #[prost(fixed32, tag = "3")]
     pub bins_bits: u32,
 }
 
-/// A class of the time ahead.
+/// A class of lead times.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Class {
-    /// Singles: the losses of the members far ahead, bins explained by the pool, by the mean, and number of bins.
+    /// Singles: the losses of the members at these lead times, the variance explained by the pool and by the mean, and the
+    /// number of bins.
     #[prost(bytes = "vec", tag = "1")]
     pub numbers: Vec<u8>,
-    /// What was stored at the last turn of the class.
+    /// The forecast that was stored at the last turn of the class.
     #[prost(message, optional, tag = "2")]
     pub newer: Option<StoredForecast>,
-    /// And at the one before.
+    /// The forecast that was stored at the turn before.
     #[prost(message, optional, tag = "3")]
     pub older: Option<StoredForecast>,
 }
 
-/// What the members stored of the week at the end of a day.
+/// The forecasts of the members for a week, stored at the end of a day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct StoredForecast {
     /// The day.
@@ -111,10 +112,10 @@ pub struct StoredForecast {
     /// The mean, the bits of a single.
     #[prost(fixed32, tag = "2")]
     pub mean_bits: u32,
-    /// By hour of the week in 255ths: of the table of all history, of the recent one, of the chosen model.
+    /// Forecasts by hour of the week in 255ths: of the table of all history, of the recent one, of the chosen model.
     #[prost(bytes = "vec", tag = "3")]
     pub weeks: Vec<u8>,
-    /// As [`Ensemble::rhythm_bits`].
+    /// The rhythm of the year, in the form of [`Ensemble::rhythm_bits`].
     #[prost(fixed64, repeated, tag = "4")]
     pub rhythm_bits: Vec<u64>,
 }
