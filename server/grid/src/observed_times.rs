@@ -37,7 +37,7 @@ impl ObservedTimes {
 
     /// How well each hour of the day is known.
     pub(crate) fn hours_seen(&self) -> HoursSeen {
-        HoursSeen::of_looks(&self.by_hour.map(|hours| hours.map(f64::from)))
+        HoursSeen::of_bins(&self.by_hour.map(|hours| hours.map(f64::from)))
     }
 
     /// The median gap, and the median gap between regular observations, in nanoseconds; 0 where they are not known.

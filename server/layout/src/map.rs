@@ -415,7 +415,7 @@ pub struct Belief {
     pub open: Option<OpenDwell>,
     /// Per lag a double, twice: sums of products and of squares; empty before the first.
     #[prost(bytes = "vec", tag = "10")]
-    pub lag_sums: Vec<u8>,
+    pub lead_sums: Vec<u8>,
 }
 
 /// Completed dwells at a value.

@@ -12,9 +12,9 @@
 //! and are not split; predictions are at least 0.001 away from 0 and 1.
 
 mod any;
+mod bins;
 mod calibration;
 mod forecast;
-mod bins;
 mod numbers;
 mod outlook;
 mod parts;
@@ -30,9 +30,9 @@ mod week_table;
 use std::sync::OnceLock;
 
 pub use any::AnyEnsemble;
+use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
-use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 pub use numbers::{NumberEnsemble, NumberEnsembleParts, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, StoredForecastParts};

@@ -79,8 +79,8 @@ pub use belief::{
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
 pub use ensemble::{
-    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels, StoredForecastParts,
-    TrainedEnsemble,
+    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels,
+    StoredForecastParts, TrainedEnsemble,
 };
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};

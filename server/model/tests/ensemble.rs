@@ -186,7 +186,7 @@ fn noise_is_predicted_as_well_as_by_its_mean() {
                     of_mean += 0.21 + (mean - 0.3_f64).powi(2);
                 }
             }
-            assert!(own <= 1.015 * of_mean, "{looks} looks, {gap} days apart: {own}, mean {of_mean}");
+            assert!(own <= 1.015 * of_mean, "{bins} looks, {gap} days apart: {own}, mean {of_mean}");
         }
     }
 }

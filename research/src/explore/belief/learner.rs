@@ -105,7 +105,7 @@ impl Learner {
             (None, Some(nightly)) => match nightly.state.predictive(&nightly.periodicities, moments) {
                 Some(predicted) if self.kind == ModelKind::Ensemble => {
                     let known = predicted.into_iter();
-                    known.map(|known| Known { probability: known.value(), looks: Some(known.looks()) }).collect()
+                    known.map(|known| Known { probability: known.value(), looks: Some(known.bins()) }).collect()
                 }
                 _ => moments.iter().map(|&at| plain(nightly.spectral(at))).collect(),
             },

@@ -40,7 +40,8 @@ impl LeadTimeWeights {
 
     /// The number of the lead time that is nearest to a number of seconds; `None` where that is too short or too long.
     pub(super) fn nearest(lead_secs: f64) -> Option<usize> {
-        let place = libm::log(lead_secs / SHORTEST_SECS) / libm::log(LONGEST_SECS / SHORTEST_SECS) * (LEAD_TIMES - 1) as f64;
+        let place =
+            libm::log(lead_secs / SHORTEST_SECS) / libm::log(LONGEST_SECS / SHORTEST_SECS) * (LEAD_TIMES - 1) as f64;
         let place = place.round();
         (0.0..LEAD_TIMES as f64).contains(&place).then_some(place as usize)
     }

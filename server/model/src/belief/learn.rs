@@ -7,8 +7,8 @@
 //! the data that was learned before it.
 
 use super::{
-    Belief, Bin, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lead_time::LeadTimeWeights, lead_secs, bins_after, noise,
-    recent::RecentReplay,
+    Belief, Bin, Newest, Rates, Recent, SensorNoise, bins_after, dwell::Dwells, lead_secs, lead_time::LeadTimeWeights,
+    noise, recent::RecentReplay,
 };
 use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
 
@@ -167,7 +167,8 @@ impl Belief {
             // A reading just before also counts, if this lead time is its nearest.
             let at = later.partition_point(|sample| sample.utc_nanos < nanos);
             let sample = later.get(at).or(later.last())?;
-            let secs = lead_secs(newest.0, sample.utc_nanos).filter(|secs| LeadTimeWeights::nearest(*secs) == Some(lead))?;
+            let secs =
+                lead_secs(newest.0, sample.utc_nanos).filter(|secs| LeadTimeWeights::nearest(*secs) == Some(lead))?;
             Some((lead, secs, *sample))
         };
         let found: Vec<_> = (0..super::lead_time::LEAD_TIMES).filter_map(target).collect();

@@ -5,8 +5,8 @@
 //! correlation of the errors of neighbouring half-hours, from which the scatter of the mean of an hour follows.
 //! Invariant: the correction is in `[0,1]`, the dependence in `[0,1)`.
 
-use super::forecast::DayForecast;
 use super::bins::DayBins;
+use super::forecast::DayForecast;
 
 /// The half-life of the correction, in observed days.
 const HALF_LIFE_DAYS: f64 = 3.0;

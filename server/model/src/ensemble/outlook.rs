@@ -189,7 +189,12 @@ fn members(parts: (f64, f64, f64, f64), day: LocalDay, rhythm: &Rhythm, season: 
 }
 
 /// The stored forecasts for an hour of the week, 0 for Monday, midnight.
-fn members_of_stored(stored: &StoredForecast, day: LocalDay, hour_of_week: usize, season: &Season) -> [f64; FAR_MEMBERS] {
+fn members_of_stored(
+    stored: &StoredForecast,
+    day: LocalDay,
+    hour_of_week: usize,
+    season: &Season,
+) -> [f64; FAR_MEMBERS] {
     let value = |bytes: &Bytes| f64::from(bytes[hour_of_week]) / 255.0;
     let parts = (f64::from(stored.mean), value(&stored.week), value(&stored.recent), value(&stored.chosen));
     members(parts, day, &stored.rhythm, season)

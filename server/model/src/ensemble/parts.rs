@@ -189,7 +189,9 @@ impl Class {
         for &number in numbers {
             InvalidParts::check("errors at a lead time", number.into(), 0.0..=f32::MAX.into())?;
         }
-        let stored = |stored: &Option<StoredForecastParts>| stored.as_ref().map(|stored| StoredForecast::of_parts(stored).map(Box::new)).transpose();
+        let stored = |stored: &Option<StoredForecastParts>| {
+            stored.as_ref().map(|stored| StoredForecast::of_parts(stored).map(Box::new)).transpose()
+        };
         let stored = [stored(&parts.stored[0])?, stored(&parts.stored[1])?];
         Ok(Class { losses: parts.losses, explained: parts.explained, bins: parts.bins, stored })
     }

@@ -234,7 +234,8 @@ impl Season {
         let squared_error = errors.norm_squared();
         let adjacent: Vec<f64> = (1..number)
             .filter(|&at| {
-                let days = self.five_days.get(at).zip(self.five_days.get(at - 1)).map(|(days, before)| days.day - before.day);
+                let days =
+                    self.five_days.get(at).zip(self.five_days.get(at - 1)).map(|(days, before)| days.day - before.day);
                 days.is_some_and(|days| f64::from(days) < ADJACENT_DAYS)
             })
             .map(|at| errors[at] * errors[at - 1])
@@ -256,9 +257,9 @@ impl Season {
         for years in 1..=YEARS {
             let then = (f64::from(day.0) - years as f64 * YEAR_DAYS) / BIN_DAYS as f64;
             let middle = then.floor() as i64;
-            for (number, share) in [(middle - 1, BESIDE), (middle, 1.0), (middle + 1, BESIDE)] {
-                let place = self.five_days.partition_point(|known| known.number() < number);
-                if let Some(known) = self.five_days.get(place).filter(|known| known.number() == number) {
+            for (at, share) in [(middle - 1, BESIDE), (middle, 1.0), (middle + 1, BESIDE)] {
+                let place = self.five_days.partition_point(|known| known.number() < at);
+                if let Some(known) = self.five_days.get(place).filter(|known| known.number() == at) {
                     sum += share * f64::from(known.bins) * f64::from(known.mean);
                     number += share * f64::from(known.bins);
                 }

@@ -50,8 +50,8 @@ pub(crate) fn encode(belief: &Belief) -> layout::Belief {
     doubles::push(&mut numbers, &parts.errors);
     doubles::push(&mut numbers, &parts.noise);
     doubles::push(&mut numbers, &[parts.gain]);
-    let mut lag_sums = Vec::with_capacity(parts.lag_sums.len() * 8);
-    doubles::push(&mut lag_sums, &parts.lag_sums);
+    let mut lead_sums = Vec::with_capacity(parts.lead_sums.len() * 8);
+    doubles::push(&mut lead_sums, &parts.lead_sums);
     let dwells = parts.dwells.into_iter().zip(parts.dwell_counts).zip(parts.fresh_dwells);
     layout::Belief {
         has_two_values: parts.has_two_values,
@@ -68,7 +68,7 @@ pub(crate) fn encode(belief: &Belief) -> layout::Belief {
             since_secs_bits: open.since.map_or(0, |(_, secs)| secs.to_bits()),
             last_nanos: open.last_nanos,
         }),
-        lag_sums,
+        lead_sums,
     }
 }
 
@@ -83,8 +83,8 @@ pub(crate) fn decode(kind: StateKind, message: &layout::Belief) -> Result<Belief
     let [low, high] = message.dwells.as_slice() else {
         return Err("a state does not have the dwells of two values".to_owned());
     };
-    let mut lag_sums = Vec::new();
-    doubles::take(&message.lag_sums, &mut lag_sums);
+    let mut lead_sums = Vec::new();
+    doubles::take(&message.lead_sums, &mut lead_sums);
     let parts = BeliefParts {
         has_two_values: message.has_two_values,
         newest: message.newest.as_ref().map(|newest| (newest.nanos, f64::from_bits(newest.value_bits))),
@@ -105,7 +105,7 @@ pub(crate) fn decode(kind: StateKind, message: &layout::Belief) -> Result<Belief
             since: open.since_nanos.map(|nanos| (nanos, f64::from_bits(open.since_secs_bits))),
             last_nanos: open.last_nanos,
         }),
-        lag_sums,
+        lead_sums,
     };
     Belief::from_parts_of(kind, parts).map_err(|error| error.to_string())
 }

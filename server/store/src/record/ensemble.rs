@@ -78,7 +78,9 @@ fn encode_class(class: &ClassParts) -> layout::Class {
 }
 
 pub(crate) fn decode(message: &layout::Ensemble) -> Result<EnsembleParts, Invalid> {
-    let five_days = |five_days: &layout::FiveDays| (five_days.day, f32::from_bits(five_days.mean_bits), f32::from_bits(five_days.bins_bits));
+    let five_days = |five_days: &layout::FiveDays| {
+        (five_days.day, f32::from_bits(five_days.mean_bits), f32::from_bits(five_days.bins_bits))
+    };
     let classes: Vec<ClassParts> = message.classes.iter().map(decode_class).collect::<Result<_, Invalid>>()?;
     let smooth: Vec<f64> = message.smooth_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     Ok(EnsembleParts {

@@ -33,7 +33,7 @@ fn belief() -> Belief {
             since: Some((1_699_999_000_000_000_000, 60.0)),
             last_nanos: 1_700_000_000_000_000_000,
         }),
-        lag_sums: (0..18_u8).map(|sum| f64::from(sum) / 4.0).collect(),
+        lead_sums: (0..18_u8).map(|sum| f64::from(sum) / 4.0).collect(),
     };
     Belief::from_parts_of(StateKind::Probability, parts).expect("valid")
 }
@@ -72,7 +72,7 @@ fn wrong_beliefs_are_refused() {
         &|belief| belief.numbers.truncate(80),
         &|belief| belief.dwells.truncate(1),
         &|belief| belief.seen.truncate(8),
-        &|belief| belief.lag_sums.truncate(8),
+        &|belief| belief.lead_sums.truncate(8),
         &|belief| belief.recent.truncate(15),
     ];
     for (number, change) in changes.into_iter().enumerate() {

@@ -171,7 +171,7 @@ pub(crate) fn learned(
             observations: random.random_range(1..1000),
             first_nanos: random.random(),
             last_nanos: random.random(),
-            seen: HoursSeen::of_looks(&looks(random)),
+            seen: HoursSeen::of_bins(&looks(random)),
         });
         sums.groups.push(match shared.get(random.random_range(0..shared.len() + 1)) {
             Some(shared) => Arc::clone(shared),

@@ -4,8 +4,8 @@
 //! the least mean squared error of the members, and one bin in ten is independent of the others. Invariant: weights sum
 //! to 1.
 
-use super::super::forecast::civil_moment;
 use super::super::bins::{DayBins, SLOT_NANOS, SLOTS};
+use super::super::forecast::civil_moment;
 use super::super::pool::normalised;
 use super::table::RECENT;
 use super::{NumberEnsemble, SeenDay};

@@ -198,7 +198,7 @@ impl CellOracle {
         for &(day, kind, hour) in &self.hours {
             looks[kind][hour] += self.half_life_days.map_or(1.0, |days| 0.5_f64.powf(f64::from(newest - day.0) / days));
         }
-        HoursSeen::of_looks(&looks)
+        HoursSeen::of_bins(&looks)
     }
 
     /// Compares the view's description of the cell.
