@@ -298,7 +298,7 @@ fn noise_is_hardly_worse_than_its_mean() {
             own += said.iter().map(|said| 1.0 + said * said).sum::<f64>() / STEPS as f64;
             of_mean += 1.0 + (seen.iter().map(|bin| bin.value).sum::<f64>() / bins as f64).powi(2);
         }
-        assert!(own <= 1.06 * of_mean, "{looks} looks, at any hour: {at_any_hour}: {own}, mean {of_mean}");
+        assert!(own <= 1.06 * of_mean, "{bins} bins, at any hour: {at_any_hour}: {own}, mean {of_mean}");
     }
 }
 
