@@ -16,7 +16,7 @@ pub struct Ensemble {
     /// weights of priors.
     #[prost(bytes = "vec", tag = "3")]
     pub all: Vec<u8>,
-    /// The same numbers for the table with a half-life of a week.
+    /// Singles of the table with a half-life of a week, in the form of `all`.
     #[prost(bytes = "vec", tag = "4")]
     pub recent: Vec<u8>,
     /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest bins, below 0 for
@@ -54,7 +54,7 @@ pub struct Ensemble {
     /// Singles of the stack that forgets slowly: 105 sums of squares, 14 of products, 14 weights.
     #[prost(bytes = "vec", tag = "15")]
     pub slow_stack: Vec<u8>,
-    /// The same numbers for the stack that forgets fast.
+    /// Singles of the stack that forgets fast, in the form of `slow_stack`.
     #[prost(bytes = "vec", tag = "16")]
     pub fast_stack: Vec<u8>,
     /// Singles: the losses of the members.
@@ -91,8 +91,8 @@ pub struct FiveDays {
 /// A class of lead times.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Class {
-    /// Singles: the losses of the members at these lead times, the variance explained by the pool and by the mean, and the
-    /// number of bins.
+    /// Singles: the losses of the members at these lead times, the numbers of bins explained by the pool and by the
+    /// mean, and the number of bins.
     #[prost(bytes = "vec", tag = "1")]
     pub numbers: Vec<u8>,
     /// The forecast that was stored at the last turn of the class.
@@ -106,10 +106,10 @@ pub struct Class {
 /// The forecasts of the members for a week, stored at the end of a day.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct StoredForecast {
-    /// The day.
+    /// The day at whose end the forecast was stored, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
-    /// The mean, the bits of a single.
+    /// The mean of all bins, the bits of a single.
     #[prost(fixed32, tag = "2")]
     pub mean_bits: u32,
     /// Forecasts by hour of the week in 255ths: of the table of all history, of the recent one, of the chosen model.
@@ -120,34 +120,38 @@ pub struct StoredForecast {
     pub rhythm_bits: Vec<u64>,
 }
 
-/// All that an ensemble of continuous values or counts has learned.
+/// The learned data of an ensemble of continuous values or counts.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NumberEnsemble {
     /// The last learned day, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "1")]
     pub last_day: Option<i32>,
-    /// Doubles, little-endian, all values relative to the first look. In turn: the first look; number, mean and summed
-    /// squared deviations of all bins; losses of 11 members, and the bins that they are of; by hour of the day 24
-    /// sums and 24 numbers of bins for each weekday from Monday on, then of weekdays and of the weekend in tables with
-    /// half-lives of 21, 7 and 2 days; of the slow and of the fast stack 121 sums of squares, 11 of products, 11
-    /// weights; by hour of weekdays, then of the weekend sum of squares and number of errors; of each class of the time
-    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their bins,
-    /// sum of squares and number of errors, four means of tables at its last turn, and at the one before; of each of 14
-    /// days, by its number modulo 14, 48 values by half-hour.
+    /// Doubles, little-endian; all values are relative to the first reading. In this order:
+    /// - the first reading;
+    /// - number, mean and summed squared deviations of all half-hour bins;
+    /// - losses of 11 members, and the number of bins of these losses;
+    /// - by hour of the day 24 sums and 24 numbers of bins, for each weekday from Monday on, then for weekdays and for
+    ///   the weekend in tables with half-lives of 21, 7 and 2 days;
+    /// - for the slow and for the fast stack 121 sums of squares, 11 of products, 11 weights;
+    /// - by hour of weekdays, then of the weekend: sum of squares and number of errors;
+    /// - for each lead-time class, the shortest first: 49 sums of squares, 7 of products, 7 weights, losses of 3
+    ///   members and the number of bins of these losses, sum of squares and number of errors, four means of tables at
+    ///   the last turn of the class, and four at the turn before;
+    /// - for each of 14 days, at its number modulo 14, 48 values by half-hour.
     #[prost(bytes = "vec", tag = "2")]
     pub numbers: Vec<u8>,
-    /// Of each of the 14 days: bits by half-hour, looked at.
+    /// One number for each of the 14 days: a bit for each half-hour, set if it has a reading.
     #[prost(fixed64, repeated, tag = "3")]
     pub seen: Vec<u64>,
-    /// The turns of the five classes of the time ahead.
+    /// The turns of the five lead-time classes.
     #[prost(message, repeated, tag = "4")]
     pub turns: Vec<Turns>,
 }
 
-/// The last turns of a class of the time ahead.
+/// The last turns of a lead-time class.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Turns {
-    /// Their days, the newer first; at most two.
+    /// The days of the turns, the newer first; at most two.
     #[prost(sint32, repeated, tag = "1")]
     pub days: Vec<i32>,
 }

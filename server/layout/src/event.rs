@@ -5,12 +5,13 @@
 //! - times: the differences from one time to the next in units of `time_unit_nanos`, as zigzag varints;
 //! - values: by their encoding, [`VALUES_BITS`], [`VALUES_DOUBLES`] or [`VALUES_FLOATS`].
 //!
-//! For scans, a column of numbers holds one varint per scan, or a single one where all are equal. A set of tiles is
-//! written as the tiles in which it differs from the set before: the number of ranges of tile ids, and per range how
-//! many ids lie between it and the range before, and its length less 1. The set before the first of a message is empty.
+//! For scans, a column of numbers holds one varint per scan, or a single varint if all are equal. A set of tiles is
+//! written as the tiles in which it differs from the set before: the number of ranges of tile ids, and for each range
+//! the number of ids between it and the range before, and its length less 1. The set before the first set of a message
+//! is empty.
 //!
 //! Invariant: the lengths of the columns follow from `count` and from the columns of counts, so a column that was cut
-//! or lengthened is noticed.
+//! or lengthened is detected.
 
 /// The values are bits, the first in the lowest bit of the first byte, padded with zero bits: 0.0 or 1.0.
 pub const VALUES_BITS: u32 = 0;
@@ -26,16 +27,17 @@ pub struct NewState {
     pub id: u32,
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Kind of the state: 0 probability, 1 continuous, 2 count, 3 a vector of 2 coordinates, 4 one of 3, 5 an angle.
-    /// Values of all but probabilities are from -1e12 to 1e12. A vector is as many states of kind 1 as it has
-    /// coordinates, called NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos
-    /// and NAME/sin. 6 is a categorical state: a probability NAME/LABEL for each of `labels`, in their order.
+    /// Kind of the state: 0 probability, 1 continuous, 2 count, 3 a vector of 2 coordinates, 4 a vector of 3
+    /// coordinates, 5 an angle, 6 a categorical state. Values of all kinds but probabilities are from -1e12 to 1e12. A
+    /// vector is as many states of kind 1 as it has coordinates, with the names NAME/x, NAME/y and NAME/z, with the
+    /// number `id` and the numbers after it. An angle is two such states, NAME/cos and NAME/sin. A categorical state is
+    /// a probability NAME/LABEL for each of `labels`, in their order.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
-    /// The sensor that was stated for it; only of kind 0.
+    /// The sensor that was stated for the state; only of kind 0.
     #[prost(message, optional, tag = "4")]
     pub sensor: Option<super::map::Sensor>,
-    /// How the rows of the state come about; absent: each is a reading.
+    /// The reporting of the state; absent: each of its rows is a reading.
     #[prost(message, optional, tag = "5")]
     pub reporting: Option<super::rows::Reporting>,
     /// The labels, 2 to 64; only of kind 6.
@@ -63,7 +65,7 @@ pub struct Observations {
     /// Number of the producer.
     #[prost(uint32, tag = "1")]
     pub producer: u32,
-    /// The producer, where this is its first record.
+    /// The producer, if this is its first record.
     #[prost(message, optional, tag = "2")]
     pub new_producer: Option<super::map::NewProducer>,
     /// The producer's incarnation.
@@ -99,7 +101,7 @@ pub struct Observations {
     /// Column of differences of times: `count` - 1 of them.
     #[prost(bytes = "vec", tag = "13")]
     pub times: Vec<u8>,
-    /// How values are encoded.
+    /// Encoding of the values.
     #[prost(uint32, tag = "14")]
     pub value_encoding: u32,
     /// Column of values.
@@ -114,11 +116,11 @@ pub struct Observations {
     /// Sequence numbers of refused observations, each as the difference from the one before.
     #[prost(uint64, repeated, tag = "18")]
     pub refused_sequences: Vec<u64>,
-    /// Why each was refused: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind, 12 edge; in a
-    /// map without a grid those of scans, too.
+    /// Reason of each refusal: 1 value, 2 time, 3 state name, 4 state index, 5 state limit, 6 state kind, 12 edge; in a
+    /// map without a grid the reasons of scans, too.
     #[prost(uint32, repeated, tag = "19")]
     pub refused_reasons: Vec<u32>,
-    /// Traversals that failed; that they did is also an observation of each.
+    /// Traversals that failed. Each failure is also an observation.
     #[prost(message, repeated, tag = "20")]
     pub failures: Vec<super::site::EdgeFailure>,
     /// Reports of tasks, each with an observation of its state.
@@ -132,7 +134,7 @@ pub struct Scans {
     /// Number of the producer.
     #[prost(uint32, tag = "1")]
     pub producer: u32,
-    /// The producer, where this is its first record.
+    /// The producer, if this is its first record.
     #[prost(message, optional, tag = "2")]
     pub new_producer: Option<super::map::NewProducer>,
     /// The producer's incarnation.
@@ -171,17 +173,17 @@ pub struct Scans {
     /// Offset of each run.
     #[prost(sint32, repeated, tag = "14")]
     pub offset_secs: Vec<i32>,
-    /// If a scan has other tiles than the scan before: the number of scans between this one and the last one that is
-    /// named here, and the set of tiles.
+    /// For each scan that has other tiles than the scan before: the number of scans between it and the last scan listed
+    /// here, and the set of tiles.
     #[prost(bytes = "vec", tag = "15")]
     pub seen: Vec<u8>,
-    /// Column: how many observed bits each scan flips.
+    /// Column: number of observed bits that each scan flips.
     #[prost(bytes = "vec", tag = "16")]
     pub observed_counts: Vec<u8>,
-    /// Column: how many occupied bits each scan flips.
+    /// Column: number of occupied bits that each scan flips.
     #[prost(bytes = "vec", tag = "17")]
     pub occupied_counts: Vec<u8>,
-    /// Cells whose observed bit is flipped, scan by scan: how many cells lie between each and the one before, as
+    /// Cells whose observed bit is flipped, scan by scan: the number of cells between each cell and the one before, as
     /// varints.
     #[prost(bytes = "vec", tag = "18")]
     pub observed_flips: Vec<u8>,
@@ -189,14 +191,14 @@ pub struct Scans {
     #[prost(bytes = "vec", tag = "19")]
     pub occupied_flips: Vec<u8>,
     /// Tiles all of whose observed bits are flipped; their cells are neither among `observed_flips` nor in
-    /// `observed_counts`. Where there are any: how many scans lie between this one and the last one that is named here,
-    /// and the set of tiles as the difference from the empty one.
+    /// `observed_counts`. For each scan with such tiles: the number of scans between it and the last scan listed here,
+    /// and the set of tiles as the difference from the empty set.
     #[prost(bytes = "vec", tag = "20")]
     pub observed_tiles: Vec<u8>,
     /// Sequence numbers of refused scans, each as the difference from the one before.
     #[prost(uint64, repeated, tag = "21")]
     pub refused_sequences: Vec<u64>,
-    /// Why each was refused: 1 to 6 as of observations, 7 no grid, 8 malformed scan, 9 empty scan, 10 tile limit, 11
+    /// Reason of each refusal: 1 to 6 as for observations, 7 no grid, 8 malformed scan, 9 empty scan, 10 tile limit, 11
     /// frame.
     #[prost(uint32, repeated, tag = "22")]
     pub refused_reasons: Vec<u32>,
@@ -205,7 +207,7 @@ pub struct Scans {
     pub shown: Option<super::map::CellBox>,
 }
 
-/// Producers that will not come back give their places up.
+/// Producers that will not return give up their places.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ForgetProducers {
     /// Numbers of the producers.

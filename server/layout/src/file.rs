@@ -1,11 +1,12 @@
 //! Files of records: `MAP`, checkpoints and history files.
 //!
 //! A file is a header, records, and a trailer after which nothing follows. A record is its header and a payload. The
-//! payload of a [`RecordKind`] above [`RecordKind::State`], the table of a history file and its end excepted, is one
-//! piece of a long record: a byte, 1 where another piece follows and 0 in the last, and then up to [`PIECE_MAX`] bytes.
+//! payload of a [`RecordKind`] above [`RecordKind::State`], except the table of a history file and its end, is one
+//! piece of a long record: a byte, 1 if another piece follows and 0 in the last piece, and then up to [`PIECE_MAX`]
+//! bytes.
 //!
-//! Invariant: the trailer holds the number of records and the CRC of every byte before it; a file without a trailer
-//! is incomplete.
+//! Invariant: the trailer holds the number of records and the CRC of all bytes before it; a file without a trailer is
+//! incomplete.
 
 use super::{FORMAT, u32_at, u64_at};
 
@@ -93,26 +94,26 @@ impl Trailer {
 pub enum RecordKind {
     /// [`super::map::MapSpec`].
     Spec = 1,
-    /// [`super::map::Snapshot`], the first of a checkpoint.
+    /// [`super::map::Snapshot`], the first record of a checkpoint.
     Snapshot = 2,
-    /// [`super::map::Producer`], in the order of their numbers.
+    /// [`super::map::Producer`], in the order of the producers' numbers.
     Producer = 3,
-    /// [`super::map::State`], in the order of their numbers.
+    /// [`super::map::State`], in the order of the states' numbers.
     State = 4,
-    /// [`super::grid::Grid`], the first of a grid.
+    /// [`super::grid::Grid`], the first record of a grid.
     Grid = 5,
-    /// Sums of phasors that tiles share: doubles, little-endian. Numbered from 0 in their order, each before the first
-    /// tile that refers to it.
+    /// A sum of phasors that tiles share: doubles, little-endian. The sums are numbered from 0 in their order; each
+    /// comes before the first tile that refers to it.
     SharedSum = 6,
-    /// [`super::grid::Tile`], in the order of their numbers.
+    /// [`super::grid::Tile`], in the order of the tiles' numbers.
     Tile = 7,
     /// [`super::grid::TileModel`] of the tile before.
     TileModel = 8,
-    /// Sums of the tile before: number of groups u32, number of changed cells u32, per group the number of its shared
-    /// sum u32, per cell its sums as doubles; little-endian. The length u32 of a [`super::grid::Sightings`] and the
-    /// message follow. Where the groups have readings of other sensors than the map's own the highest bit of the
-    /// number of changed cells is set, and behind the numbers of the shared sums come those of two more per group u32:
-    /// of phasors weighted by α and by β, both 2^32 - 1 where a group has none.
+    /// Sums of the tile before: number of groups u32, number of changed cells u32, for each group the number of its
+    /// shared sum u32, for each cell its sums as doubles; little-endian. The length u32 of a [`super::grid::Sightings`]
+    /// and the message follow. If the groups have readings of other sensors than the sensor of the map, the highest bit
+    /// of the number of changed cells is set, and after the numbers of the shared sums there are two more numbers u32
+    /// for each group: of the sums of phasors weighted by α and by β, both 2^32 - 1 if the group has none.
     TileSums = 9,
     /// [`super::grid::Day`].
     Day = 10,
@@ -122,7 +123,7 @@ pub enum RecordKind {
     AheadScan = 12,
     /// [`super::history::StateSamples`], ascending by state.
     StateSamples = 13,
-    /// [`super::history::ENTRIES_MAX`] entries of the table of a history file, the last record fewer.
+    /// [`super::history::ENTRIES_MAX`] entries of the table of a history file; the last record may have fewer.
     Table = 14,
     /// [`super::history::End`], the last record of a history file.
     End = 15,

@@ -1,8 +1,8 @@
 //! A grid after an update, in a checkpoint.
 //!
 //! A set of cells of a tile is 64 bytes, the first cell in the lowest bit of the first; an empty set has no bytes. A
-//! list of cells holds how many places lie between each and the one before, as varints. Sets of tiles are those of
-//! [`super::event`].
+//! list of cells holds the number of places between each cell and the one before, as varints. Sets of tiles have the
+//! encoding of [`super::event`].
 //!
 //! Invariant: a double is kept as its bits, little-endian, so that every bit is preserved.
 
@@ -23,16 +23,17 @@ pub struct Grid {
     /// Number of scans whose time is in the future.
     #[prost(uint32, tag = "4")]
     pub ahead: u32,
-    /// Scans acknowledged.
+    /// Number of acknowledged scans.
     #[prost(uint64, tag = "5")]
     pub scans: u64,
-    /// Observations of single cells in them.
+    /// Number of observations of single cells in these scans.
     #[prost(uint64, tag = "6")]
     pub cell_observations: u64,
-    /// The tiles of the last scan in the log: a set.
+    /// The set of the tiles of the last scan in the log.
     #[prost(bytes = "vec", tag = "7")]
     pub last_seen: Vec<u8>,
-    /// Time at which the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
+    /// Time at which the first of the scans in `days` and `ahead` was received, or an earlier time; absent if there are
+    /// none.
     #[prost(sint64, optional, tag = "8")]
     pub received_nanos: Option<i64>,
     /// The cells that the scans of the grid are pictures of; absent if no scan states them.
@@ -52,10 +53,10 @@ pub struct Tile {
     /// Index along z.
     #[prost(sint32, tag = "3")]
     pub z: i32,
-    /// Cells observed by its last scan in the log.
+    /// Cells of the tile that its last scan in the log observed.
     #[prost(bytes = "vec", tag = "4")]
     pub arrival_observed: Vec<u8>,
-    /// Cells occupied in its last scan in the log.
+    /// Cells of the tile that are occupied in its last scan in the log.
     #[prost(bytes = "vec", tag = "5")]
     pub arrival_occupied: Vec<u8>,
     /// Cells that were ever observed.
@@ -86,11 +87,12 @@ pub struct Tile {
     /// Whether a model and sums follow; otherwise both are empty.
     #[prost(bool, tag = "14")]
     pub has_model: bool,
-    /// Number of the sensor of the newest scan: 0 the map's own, the others in the order in which their first producers
-    /// appear in the log.
+    /// Number of the sensor of the newest scan: 0 for the sensor of the map; the other sensors are numbered in the
+    /// order in which their first producers appear in the log.
     #[prost(uint32, tag = "15")]
     pub sensor: u32,
-    /// The sensor that last observed each cell of `away`, a byte each, in their order; empty: all the map's own.
+    /// The sensor that last observed each cell of `away`, a byte each, in the order of `away`; empty: the sensor of the
+    /// map for all cells.
     #[prost(bytes = "vec", tag = "16")]
     pub away_sensors: Vec<u8>,
 }
@@ -114,7 +116,7 @@ pub struct TileModel {
 pub struct Group {
     #[prost(bytes = "vec", tag = "1")]
     pub cells: Vec<u8>,
-    /// Observations of each.
+    /// Number of observations of each cell.
     #[prost(uint64, tag = "2")]
     pub observations: u64,
     /// Time of the first observation.
@@ -123,11 +125,11 @@ pub struct Group {
     /// Time of the last observation.
     #[prost(sint64, tag = "4")]
     pub last_nanos: i64,
-    /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own
-    /// sensor.
+    /// Sum of α over the observations. Present in all groups of a tile or in none; if in none, all observations are of
+    /// the sensor of the map.
     #[prost(fixed64, optional, tag = "5")]
     pub alpha_bits: Option<u64>,
-    /// Sum of β over the observations; as `alpha_bits`.
+    /// Sum of β over the observations; present where `alpha_bits` is.
     #[prost(fixed64, optional, tag = "6")]
     pub beta_bits: Option<u64>,
     /// With a half-life: total weight of the observations. Present in all groups of a tile or in none.
@@ -139,7 +141,7 @@ pub struct Group {
     /// With a half-life: the latest local day in the sums of the group.
     #[prost(sint32, optional, tag = "9")]
     pub sum_day: Option<i32>,
-    /// How well each hour of weekdays, then of weekends, is known, a byte each. Empty: every hour is known.
+    /// Evidence for each hour of weekdays, then of weekends, a byte each. Empty: every hour is known.
     #[prost(bytes = "vec", tag = "10")]
     pub seen: Vec<u8>,
 }
@@ -149,12 +151,12 @@ pub struct Group {
 pub struct Cell {
     #[prost(uint32, tag = "1")]
     pub cell: u32,
-    /// Number of readings as occupied.
+    /// Number of occupied readings.
     #[prost(uint64, tag = "2")]
     pub occupied: u64,
     #[prost(fixed64, tag = "3")]
     pub mean_bits: u64,
-    /// Number of observations it was trained on.
+    /// Number of observations that the model was trained on.
     #[prost(uint64, tag = "4")]
     pub observations: u64,
     /// Components, strongest first: index of the periodicity u32, real and imaginary part as doubles.
@@ -169,7 +171,7 @@ pub struct Cell {
     /// Last local day recorded in the errors, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "8")]
     pub errors_last_day: Option<i32>,
-    /// Sum of β over the readings as occupied. Present if the groups have theirs.
+    /// Sum of β over the occupied readings. Present if the groups have sums of α and β.
     #[prost(fixed64, optional, tag = "9")]
     pub occupied_weight_bits: Option<u64>,
     /// The local day on which the change alarm of the cell was raised, if it is on.
@@ -177,10 +179,10 @@ pub struct Cell {
     pub alarm_day: Option<i32>,
 }
 
-/// Observation times of cells of a tile. Follows the sums of a tile in the same record.
+/// Observation times of the cells of a tile. The message follows the sums of the tile in the same record.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Sightings {
-    /// Days of cells that have no sums for them, in the order in which they were learned.
+    /// Days with observations of cells that have no sums for these days, in the order in which the days were learned.
     #[prost(message, repeated, tag = "1")]
     pub days: Vec<SeenDay>,
     /// Times between the observations of each group.
@@ -197,7 +199,7 @@ pub struct GroupTimes {
     /// Number of gaps.
     #[prost(uint64, tag = "1")]
     pub gaps: u64,
-    /// A sample of them in whole seconds.
+    /// A sample of the gaps, in whole seconds.
     #[prost(uint32, repeated, tag = "2")]
     pub kept_secs: Vec<u32>,
     /// Number of single hours with an observation.
@@ -212,7 +214,7 @@ pub struct GroupTimes {
 /// The supported components of a cell, and its change alarm.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct CellWatch {
-    /// Daily gains of the orders: days, sum and sum of squares. Empty: none.
+    /// Daily gains of the orders: number of days, sum and sum of squares. Empty: none.
     #[prost(fixed64, repeated, tag = "1")]
     pub gains_bits: Vec<u64>,
     #[prost(message, optional, tag = "2")]
@@ -237,7 +239,7 @@ pub struct SeenDay {
     /// Number of scans that saw the tile, at least 1.
     #[prost(uint32, tag = "1")]
     pub scans: u32,
-    /// Local civil time of the first, in nanoseconds since 1970 local.
+    /// Local civil time of the first scan, in nanoseconds since 1970 local.
     #[prost(sint64, tag = "2")]
     pub first_civil_nanos: i64,
     /// Unit of the differences of times.
@@ -246,11 +248,12 @@ pub struct SeenDay {
     /// Column of differences of times, zigzag, modulo 2^64: `scans` - 1 of them, or one if all are equal.
     #[prost(bytes = "vec", tag = "4")]
     pub times: Vec<u8>,
-    /// Cells that were observed by the same scans, list by list: number of cells, the places that lie between each and
-    /// the one before, number of toggles, the scans that lie between each and the one before; all as varints.
+    /// Lists of cells that the same scans observed, one list after another: number of cells, number of places between
+    /// each cell and the one before, number of toggles, number of scans between each toggle and the one before; all as
+    /// varints.
     #[prost(bytes = "vec", tag = "5")]
     pub lists: Vec<u8>,
-    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
+    /// Lengths of the runs of scans of one sensor; empty if all scans are of the sensor of the map.
     #[prost(uint32, repeated, tag = "6")]
     pub sensor_counts: Vec<u32>,
     /// Sensor of each run.
@@ -258,7 +261,7 @@ pub struct SeenDay {
     pub sensors: Vec<u32>,
 }
 
-/// Scans of one local day. Its tiles follow.
+/// The scans of one local day. The records of the tiles of the day follow.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Day {
     /// The local date, in days since 1970-01-01.
@@ -285,13 +288,13 @@ pub struct Day {
     /// Runs of scans that saw the same tiles: the run's length as a varint, and the set of tiles.
     #[prost(bytes = "vec", tag = "8")]
     pub presence: Vec<u8>,
-    /// Number of records of tiles that follow.
+    /// Number of tile records that follow.
     #[prost(uint32, tag = "9")]
     pub tiles: u32,
-    /// One more than the greatest number of a tile in the runs.
+    /// The greatest tile number in the runs, plus one.
     #[prost(uint32, tag = "10")]
     pub tiles_end: u32,
-    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
+    /// Lengths of the runs of scans of one sensor; empty if all scans are of the sensor of the map.
     #[prost(uint32, repeated, tag = "11")]
     pub sensor_counts: Vec<u32>,
     /// Sensor of each run.
@@ -307,8 +310,8 @@ pub struct DayTile {
     /// The observations; absent if only models are known.
     #[prost(message, optional, tag = "2")]
     pub scans: Option<DayTileScans>,
-    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index
-    /// of the periodicity u16, real and imaginary part as floats. In history files only.
+    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, for each component the
+    /// index of the periodicity u16, real and imaginary part as floats. In history files only.
     #[prost(bytes = "vec", tag = "3")]
     pub models: Vec<u8>,
 }
@@ -322,16 +325,17 @@ pub struct DayTileScans {
     /// Cells occupied in the first scan.
     #[prost(bytes = "vec", tag = "2")]
     pub first_occupied: Vec<u8>,
-    /// Flips by bit, each ascending by scan: how many bits lie between this one and the one before (bit = 2·place, plus
-    /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all
-    /// as varints. Within one scan, flips of observed bits come before those of occupied bits, each by place.
+    /// Flips by bit, for each bit ascending by scan: number of bits between this bit and the one before (bit = 2·place,
+    /// plus one for the occupied bit), number of flips less 1, and number of scans between each flip and the one
+    /// before; all as varints. Within one scan, flips of observed bits come before flips of occupied bits, both by
+    /// place.
     #[prost(bytes = "vec", tag = "3")]
     pub flips: Vec<u8>,
-    /// Used instead of `flips` if the flips of one scan have another order: all flips in that order. Per flip the
-    /// number of scans since the flip before and the bit as above, as varints.
+    /// All flips in their order; used instead of `flips` if the flips of one scan have another order. For each flip the
+    /// number of scans since the flip before and the bit, numbered as in `flips`, as varints.
     #[prost(bytes = "vec", tag = "4")]
     pub flips_in_order: Vec<u8>,
-    /// The masks of the last scan, if they are not those of the first with all flips.
+    /// The masks of the last scan, if they differ from the masks of the first scan after all flips.
     #[prost(message, optional, tag = "5")]
     pub last: Option<Masks>,
 }
@@ -354,10 +358,10 @@ pub struct AheadScan {
     pub utc_nanos: i64,
     #[prost(sint32, tag = "2")]
     pub offset_secs: i32,
-    /// The numbers of its tiles, in their order.
+    /// The numbers of the tiles of the scan, in the order of the scan.
     #[prost(uint32, repeated, tag = "3")]
     pub tiles: Vec<u32>,
-    /// Per tile the cells observed and the cells occupied, 64 bytes each.
+    /// For each tile the observed cells and the occupied cells, 64 bytes each.
     #[prost(bytes = "vec", tag = "4")]
     pub masks: Vec<u8>,
     #[prost(uint32, tag = "5")]

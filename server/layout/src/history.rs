@@ -1,9 +1,9 @@
 //! Exact observations of one generation.
 //!
 //! A history file is a file of records: the observations, a table of their offsets, and [`End`]. A file of states has
-//! [`StateSamples`], whose key in the table is the number of the state. A file of a grid has days as a checkpoint has
-//! them ([`super::grid::Day`], each followed by its [`super::grid::DayTile`]); the key of a day is its place in the
-//! file times 2^32, that of a tile 1 + its number more.
+//! [`StateSamples`], whose key in the table is the number of the state. A file of a grid has days in the form of a
+//! checkpoint ([`super::grid::Day`], each followed by its [`super::grid::DayTile`]). The key of a day is its place in
+//! the file times 2^32; the key of a tile is the key of its day + 1 + the number of the tile.
 //!
 //! Invariant: keys ascend, and the last 16 + [`END_LENGTH`] bytes before the trailer are the record [`End`], so a
 //! part can be found without reading the rest.
@@ -26,7 +26,7 @@ pub struct StateSamples {
     /// Number of observations.
     #[prost(uint32, tag = "2")]
     pub count: u32,
-    /// Time of the first.
+    /// Time of the first observation.
     #[prost(int64, tag = "3")]
     pub first_time_nanos: i64,
     /// Unit of the differences of times.
@@ -35,7 +35,7 @@ pub struct StateSamples {
     /// Column of differences of times, as in the log.
     #[prost(bytes = "vec", tag = "5")]
     pub times: Vec<u8>,
-    /// How values are encoded, as in the log.
+    /// Encoding of the values, as in the log.
     #[prost(uint32, tag = "6")]
     pub value_encoding: u32,
     /// Column of values.
@@ -53,14 +53,14 @@ pub struct StateSamples {
     /// Producer of each run.
     #[prost(uint32, repeated, tag = "11")]
     pub run_producers: Vec<u32>,
-    /// Number of the first observation of each run among those of the state, less the number that follows the run
-    /// before; of the first run less 0.
+    /// Number of the first observation of each run among the observations of the state, less the number that follows
+    /// the run before; for the first run, less 0.
     #[prost(sint64, repeated, tag = "12")]
     pub run_steps: Vec<i64>,
     /// Number of the last observations that had waited because their time was later than the clock.
     #[prost(uint32, tag = "13")]
     pub ahead: u32,
-    /// Number of the last observation of the state that had arrived when the update began; 0 where none had waited.
+    /// Number of the last observation of the state that had arrived when the update began; 0 if none had waited.
     #[prost(uint64, tag = "14")]
     pub arrived: u64,
     /// Whether the update ran early, to free memory.
@@ -69,10 +69,12 @@ pub struct StateSamples {
     /// This field has no meaning any more.
     #[prost(bool, tag = "16")]
     pub is_crowded: bool,
-    /// Lengths of the runs of equal values, varints; then the column of values has one of each run.
+    /// Lengths of the runs of equal values, varints; then the column of values has one value for each run. Empty if
+    /// values are not stored in runs.
     #[prost(bytes = "vec", tag = "17")]
     pub value_runs: Vec<u8>,
-    /// Lengths of the runs of equal differences of times, varints; then their column has one of each run.
+    /// Lengths of the runs of equal differences of times, varints; then the column of times has one difference for each
+    /// run. Empty if times are not stored in runs.
     #[prost(bytes = "vec", tag = "18")]
     pub time_runs: Vec<u8>,
 }
@@ -81,7 +83,7 @@ pub struct StateSamples {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     pub key: u64,
-    /// Offset of its first record.
+    /// Offset of the first record in the file.
     pub offset: u64,
     /// Number of records.
     pub records: u32,
@@ -129,7 +131,7 @@ impl End {
         bytes
     }
 
-    /// The end of these bytes; `None` where their number is wrong.
+    /// The end of these bytes; `None` if their number is wrong.
     pub fn decode(bytes: &[u8]) -> Option<End> {
         let sound = bytes.len() == END_LENGTH;
         sound.then(|| End {

@@ -1,4 +1,5 @@
-//! The sled database in `index/`: what the newest generation of each map publishes, without the sums it is made of.
+//! The sled database in `index/`: the data that the newest generation of each map publishes, without the sums from
+//! which this data is computed.
 //!
 //! | tree | key | value |
 //! | --- | --- | --- |
@@ -9,18 +10,18 @@
 //! | [`PRODUCERS`] | map u32, producer u32, part u16 | part of a [`super::map::Producer`] |
 //! | [`GENERATIONS`] | map u32 | [`Mark`] |
 //!
-//! Numbers in keys are big-endian, so that they sort. A message is cut into parts of [`PART_LENGTH`] bytes, from 0. A
-//! value is [`encode_value`]'s: a version byte, the CRC-32C of everything else, and the payload. The CRC covers the
-//! name of the tree and the key as well, so that a value in the wrong place is detected.
+//! Numbers in keys are big-endian, so that they sort. A message is cut into parts of [`PART_LENGTH`] bytes, numbered
+//! from 0. [`encode_value`] makes a value: a version byte, the CRC-32C of everything else, and the payload. The CRC
+//! covers the name of the tree and the key as well, so that a value in the wrong place is detected.
 //!
-//! Invariant: what is written here is read back bit by bit, or refused. No value is longer than 4 KB, because sled
-//! keeps long ones in files that it never syncs.
+//! Invariant: written data is read back bit by bit, or refused. No value is longer than 4 KB, because sled keeps long
+//! values in files that it never syncs.
 
 use super::u32_at;
 
 /// Name of the tree of states.
 pub const STATES: &str = "published.states";
-/// Name of the tree of tiles as the newest scans before the cut show them.
+/// Name of the tree of tiles in the state after the newest scans before the cut.
 pub const TILES: &str = "published.tiles";
 /// Name of the tree of the models of tiles.
 pub const CELLS: &str = "published.cells";
@@ -42,8 +43,8 @@ pub struct StateRow {
     /// The state without `spectrum`, and without `alternatives.hours`.
     #[prost(message, optional, tag = "1")]
     pub state: Option<super::map::State>,
-    /// The 480 doubles of `alternatives.hours`, each as the varint of its bits in the reverse order of bytes; empty
-    /// where there are no alternatives. Small numbers are short.
+    /// The 480 doubles of `alternatives.hours`, each as the varint of its bits in the reverse order of bytes, so that
+    /// small numbers are short. Empty if there are no alternatives.
     #[prost(bytes = "vec", tag = "2")]
     pub hours: Vec<u8>,
 }
@@ -54,10 +55,10 @@ pub struct Total {
     /// Number of rows.
     #[prost(uint64, tag = "1")]
     pub records: u64,
-    /// Bytes of their keys and values.
+    /// Number of bytes of the keys and values of the rows.
     #[prost(uint64, tag = "2")]
     pub bytes: u64,
-    /// Sum of [`fingerprint`] over their values.
+    /// Sum of [`fingerprint`] over the values of the rows.
     #[prost(fixed64, tag = "3")]
     pub fingerprint_sum: u64,
 }
@@ -68,13 +69,13 @@ pub struct GridMark {
     /// Number of tiles.
     #[prost(uint32, tag = "1")]
     pub tiles: u32,
-    /// Number of tiles with a model; the first ones.
+    /// Number of tiles, from the first, that have a model.
     #[prost(uint32, tag = "2")]
     pub models: u32,
-    /// Scans acknowledged.
+    /// Number of acknowledged scans.
     #[prost(uint64, tag = "3")]
     pub scans: u64,
-    /// Observations of single cells in them.
+    /// Number of observations of single cells in these scans.
     #[prost(uint64, tag = "4")]
     pub cell_observations: u64,
     /// The cells that the scans of the grid are pictures of; absent if no scan states them.
@@ -85,7 +86,7 @@ pub struct GridMark {
 /// The generation of a map that the rows make up.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Mark {
-    /// While it is set, rows are being written and must not be used.
+    /// Whether rows are being written; then they must not be used.
     #[prost(bool, tag = "1")]
     pub dirty: bool,
     /// The generation.
@@ -131,7 +132,7 @@ pub fn encode_value(tree: &str, key: &[u8], payload: &[u8]) -> Vec<u8> {
     value
 }
 
-/// The payload of a value, where it is whole and in its place.
+/// The payload of a value; `None` if the value is damaged or in the wrong place.
 pub fn decode_value<'value>(tree: &str, key: &[u8], value: &'value [u8]) -> Option<&'value [u8]> {
     let (&version, rest) = value.split_first()?;
     let payload = rest.get(4..)?;

@@ -4,35 +4,36 @@
 //! | --- | --- |
 //! | `MANIFEST` | text, `manifest.rs` of `tidemap-migrations` |
 //! | `MAPS` | the maps, and the next unused number of a map: [`lists::MapList`] |
-//! | `LOSSES` | what was lost, and accepted as lost; only if there is any: [`lists::LossList`] |
-//! | `index/` | a sled 0.34 database, [`index`]; always rebuilt from checkpoints where it is not whole |
+//! | `LOSSES` | the lost data that was accepted as lost; only if there is any: [`lists::LossList`] |
+//! | `index/` | a sled 0.34 database, [`index`]; always rebuilt from checkpoints if it is not complete |
 //!
 //! | file below the folder of a map, `maps/00000001` | layout |
 //! | --- | --- |
 //! | `MAP` | [`file::FileHeader`], one record [`map::MapSpec`] |
-//! | `CHECKPOINTS` | the checkpoints, and where the log begins: [`lists::CheckpointList`] |
+//! | `CHECKPOINTS` | the checkpoints, and the begin of the log: [`lists::CheckpointList`] |
 //! | `HISTORY` | the history files: [`lists::FileList`] |
-//! | `ERASE` | what is to be erased; only until it is done: [`lists::ErasureOrder`] |
-//! | `ERASURES` | how often something was erased; only after the first time: [`lists::ErasureCount`] |
+//! | `ERASE` | the observations to erase; only until they are erased: [`lists::ErasureOrder`] |
+//! | `ERASURES` | the number of erasures; only after the first erasure: [`lists::ErasureCount`] |
 //! | `log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`], [`site`] and [`cluster`] messages |
 //! | `log/NEWEST` | the newest segment: [`lists::NewestSegment`] |
 //! | `checkpoints/00000000000000000007.tmc` | [`mod@file`]: [`map::Snapshot`], producers, [`map::State`]s, an |
 //! | | [`site::TableRow`]s and, for a map with a grid, [`grid`] records |
 //! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
-//! | `SHARED`, `forks/` | of a map of a cluster only: [`cluster`] |
+//! | `SHARED`, `forks/` | only in a map of a cluster: [`cluster`] |
 //!
-//! Every list of what must exist is there from the creation of what it lists, so that a list that is missing is a loss.
-//! Segments chain to each other, and a checkpoint names the record that it needs, so the newest segment is enough. A
-//! deleted map leaves no folder: `MAPS` keeps its number from being used again.
+//! Every list of files or maps exists from the creation of the first of them, so a missing list is a loss. Segments
+//! chain to each other, and a checkpoint names the record that it needs, so a list of the newest segment is enough. A
+//! deleted map leaves no folder; `MAPS` prevents its number from being used again.
 //!
-//! Fixed layouts are little-endian. Variable ones are protocol buffer messages. Numbers with a fraction are kept as
-//! the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. Every byte is
-//! covered by a CRC-32C.
+//! Fixed layouts are little-endian. Variable layouts are protocol buffer messages. Numbers with a fraction are stored
+//! as the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. A CRC-32C covers
+//! every byte.
 //!
 //! `tidemap-store` converts these messages to the types of the domain, and defines their meaning. Invariant: from the
-//! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
-//! A new format freezes a copy of this one in `tidemap-migrations`, beside the step that leads to the new one.
+//! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` checks
+//! this. For a new format, a copy of this format is frozen in `tidemap-migrations`, beside the step that leads to the
+//! new format.
 
 #![allow(missing_docs, reason = "fields whose name says it all")]
 

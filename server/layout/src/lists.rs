@@ -1,5 +1,5 @@
-//! The lists of what must exist, as text: a first line with the kind of the list, a line for each entry, and a checksum
-//! of all before.
+//! The lists of files and maps that must exist, as text: a first line with the kind of the list, a line for each entry,
+//! and a checksum of all lines before it.
 //!
 //! Invariant: writing the content of a text that was read gives the text again.
 
@@ -30,7 +30,7 @@ pub struct MapList {
 /// The history files of a map.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FileList {
-    /// Ascending by name.
+    /// The files, ascending by name.
     pub files: Vec<ListedFile>,
 }
 
@@ -52,16 +52,16 @@ pub struct ListedFile {
 /// The newest segment of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewestSegment {
-    /// Position of its first record.
+    /// Log position of the first record of the segment.
     pub first_position: u64,
 }
 
 /// The observations to erase from a map. The file exists until they are erased.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ErasureOrder {
-    /// Ids of states, ascending; with a part, none means all.
+    /// Ids of states, ascending; if `part` is given, an empty list means all states.
     pub states: Vec<u32>,
-    /// The part of their observations; `None`: all, with the states.
+    /// The part of the observations of these states; `None`: all observations, and the states themselves.
     pub part: Option<ErasedPart>,
 }
 
@@ -70,9 +70,9 @@ pub struct ErasureOrder {
 pub struct ErasedPart {
     /// The first time, nanoseconds UTC.
     pub from_nanos: i64,
-    /// The time before which they lie, nanoseconds UTC; the greatest i64: all later ones.
+    /// The time before which the observations lie, nanoseconds UTC; the greatest i64: all later observations.
     pub to_nanos: i64,
-    /// Ids of producers, ascending; none means all.
+    /// Ids of producers, ascending; an empty list means all producers.
     pub producers: Vec<u32>,
     /// Whether the sequences of these producers are forgotten, and states without remaining observations stay.
     pub forgets: bool,
@@ -81,16 +81,16 @@ pub struct ErasedPart {
 /// The number of erasures in a map; there is no file before the first one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErasureCount {
-    /// The number.
+    /// Number of erasures.
     pub count: u64,
 }
 
-/// The checkpoints of a map, and where its log begins.
+/// The checkpoints of a map, and the begin of its log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CheckpointList {
-    /// The record with which the first segment of the log begins; an earlier segment may still be there.
+    /// The record with which the first segment of the log begins; an earlier segment may still exist.
     pub first_record: u64,
-    /// Positions of the checkpoints that must exist, ascending; a further one may be there.
+    /// Log positions of the checkpoints that must exist, ascending; a further checkpoint may exist.
     pub checkpoints: Vec<u64>,
 }
 
@@ -125,7 +125,7 @@ pub trait TextList: Sized {
     const FIRST_LINE: &'static str;
     /// The lines between the first and the checksum.
     fn lines(&self) -> Vec<String>;
-    /// The list of these lines; `None` where they are not valid.
+    /// The list of these lines; `None` if a line is not valid.
     fn parse(lines: &[&str]) -> Option<Self>;
 
     /// The text of the file.
@@ -142,7 +142,7 @@ pub trait TextList: Sized {
     /// Reads the list from a text.
     ///
     /// # Errors
-    /// A description of what is wrong with the text.
+    /// Returns a description of the fault if the text is not valid.
     fn from_text(text: &[u8]) -> Result<Self, &'static str> {
         let text = std::str::from_utf8(text).map_err(|_| "it is not text")?;
         let body = text.rfind("crc32c ").and_then(|end| text.get(..end)).ok_or("its checksum is missing")?;
@@ -151,7 +151,7 @@ pub trait TextList: Sized {
             return Err("its first line is not valid");
         }
         let list = Self::parse(&lines.collect::<Vec<_>>()).ok_or("a line is not valid")?;
-        // Writing it again must give the same bytes, with the same checksum.
+        // Writing the list again must give the same bytes, with the same checksum.
         if list.to_text() == text { Ok(list) } else { Err("its checksum does not match") }
     }
 }
@@ -302,7 +302,7 @@ impl TextList for LossList {
 mod tests {
     use super::*;
 
-    /// Checks that a list is read as it was written, and that no flipped bit and no cut passes.
+    /// Checks that a list is read as it was written, and that a text with a flipped bit or a cut text is refused.
     fn check<L: TextList + PartialEq + std::fmt::Debug>(list: &L) {
         let text = list.to_text().into_bytes();
         assert_eq!(L::from_text(&text).as_ref(), Ok(list));

@@ -1,10 +1,10 @@
-//! The observation log: a segment is a header and then frames, one per record.
+//! The observation log. A segment is a header and then frames, one per record.
 //!
 //! A frame is a header of [`FRAME_HEADER_LENGTH`] bytes and a body. The body is the payload with a guard byte after
-//! every 255 bytes and one more at its end.
+//! every 255 bytes and one more guard byte at its end.
 //!
 //! Invariant: no frame holds 512 zero bytes in a row, begins with a zero byte or ends with one. A sector that never
-//! reached the disk reads as zeros, so it can be distinguished from a written one with a flipped bit.
+//! reached the disk reads as zeros, so it can be distinguished from a written sector with a flipped bit.
 
 use super::{FORMAT, u32_at, u64_at};
 
@@ -16,7 +16,7 @@ pub const SEGMENT_HEADER_LENGTH: usize = 32;
 pub const FRAME_HEADER_LENGTH: usize = 32;
 /// Version of the frame's payload.
 pub const FRAME_VERSION: u8 = 1;
-/// Limit of a payload in bytes; longer ones are refused when written and when read.
+/// Limit of a payload in bytes; longer payloads are refused when written and when read.
 pub const PAYLOAD_MAX: usize = 16 << 20;
 /// Value of the first record's chain.
 pub const FIRST_CHAIN: u32 = 0;
@@ -31,7 +31,7 @@ const GUARD_SPACING: usize = 255;
 pub struct SegmentHeader {
     /// Number of the map.
     pub map: u32,
-    /// Position of the first record.
+    /// Log position of the first record.
     pub first_position: u64,
     /// Header CRC of the record before the first.
     pub chain: u32,
@@ -64,8 +64,8 @@ impl SegmentHeader {
     }
 }
 
-/// The kind of a frame's payload. The numbers have several bits set, so that no single flipped bit makes a first byte
-/// zero.
+/// The kind of a frame's payload. Each number has several bits set, so that no single flipped bit makes the first byte
+/// of a frame zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
     /// [`super::event::Observations`].
@@ -74,7 +74,7 @@ pub enum FrameKind {
     UpdateStart = b'U' as isize,
     /// [`super::event::Scans`].
     Scans = b'S' as isize,
-    /// [`super::event::NewState`], which has no observations yet.
+    /// [`super::event::NewState`] of a state that has no observations yet.
     AddState = b'K' as isize,
     /// [`super::site::SiteEdit`].
     EditSite = b'E' as isize,
@@ -96,8 +96,8 @@ pub struct FrameHeader {
     pub payload_length: u32,
     /// Number of the record, from 1.
     pub position: u64,
-    /// Number of records before this one that were written together with it. All records before those were durable,
-    /// which distinguishes a torn tail from a damaged durable record.
+    /// Number of records before this one that were written together with it. All records before these were durable
+    /// already, which distinguishes a torn tail from a damaged durable record.
     pub group_index: u32,
     /// Header CRC of the record before, [`FIRST_CHAIN`] for the first.
     pub chain: u32,

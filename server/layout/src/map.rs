@@ -2,12 +2,12 @@
 //!
 //! Invariant: a double is kept as its bits (`fixed64`), so that every bit is preserved.
 
-/// Whose sequence of observations.
+/// Identifies a sequence of observations.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ProducerKey {
     #[prost(string, tag = "1")]
     pub producer: String,
-    /// One of its labels.
+    /// Label of the sequence.
     #[prost(string, tag = "2")]
     pub label: String,
 }
@@ -50,7 +50,7 @@ pub struct Accumulator {
 pub struct Spectral {
     #[prost(fixed64, tag = "1")]
     pub mean_bits: u64,
-    /// Number of observations it was trained on.
+    /// Number of observations that the model was trained on.
     #[prost(uint64, tag = "2")]
     pub observations: u64,
     /// Components, strongest first.
@@ -77,7 +77,7 @@ pub struct Component {
 pub struct MapSpec {
     #[prost(string, tag = "1")]
     pub name: String,
-    /// IANA name of its time zone.
+    /// IANA name of the time zone of the map.
     #[prost(string, tag = "2")]
     pub zone: String,
     /// Base period of the harmonics; 0 if the periodicities are a list.
@@ -92,10 +92,10 @@ pub struct MapSpec {
     /// 1 squared error, 2 zero-one.
     #[prost(uint32, tag = "6")]
     pub criterion: u32,
-    /// When it was created.
+    /// Time at which the map was created.
     #[prost(sint64, tag = "7")]
     pub created_nanos: i64,
-    /// How long exact observations of named states are kept.
+    /// The time for which exact observations of named states are kept.
     #[prost(message, optional, tag = "8")]
     pub retention: Option<Retention>,
     /// The grid; absent: there is none.
@@ -141,12 +141,12 @@ pub struct Snapshot {
     /// Number of states.
     #[prost(uint32, tag = "7")]
     pub states: u32,
-    /// How many rows of the site follow.
+    /// Number of rows of the site that follow.
     #[prost(uint32, tag = "8")]
     pub table_rows: u32,
 }
 
-/// The sensor of a producer, if it differs from the map's own; or that of a state, where occupied means 1.
+/// The sensor of a producer that differs from the sensor of the map, or the sensor of a state, where occupied means 1.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Sensor {
     /// P(reads occupied | is occupied).
@@ -162,18 +162,18 @@ pub struct Sensor {
 pub struct NewProducer {
     #[prost(string, tag = "1")]
     pub producer: String,
-    /// One of its labels.
+    /// Label of the new sequence.
     #[prost(string, tag = "2")]
     pub label: String,
-    /// The sensor of all its scans; absent: the map's own.
+    /// The sensor of all scans of the producer; absent: the sensor of the map.
     #[prost(message, optional, tag = "3")]
     pub sensor: Option<Sensor>,
-    /// The client that introduces it, as shares count clients; empty: one without a share.
+    /// The client that introduces the producer, as shares count clients; empty: a client without a share.
     #[prost(string, tag = "4")]
     pub introduced_by: String,
 }
 
-/// How far a producer's sequence is durable.
+/// The durable part of a producer's sequence.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Producer {
     #[prost(uint32, tag = "1")]
@@ -181,43 +181,43 @@ pub struct Producer {
     /// Name of the producer and label of its sequence.
     #[prost(message, optional, tag = "2")]
     pub key: Option<ProducerKey>,
-    /// Highest incarnation seen.
+    /// Highest incarnation received.
     #[prost(uint64, tag = "3")]
     pub incarnation: u64,
-    /// Everything up to here is durable or refused.
+    /// All observations up to this sequence number are durable or refused.
     #[prost(uint64, tag = "4")]
     pub durable_sequence: u64,
-    /// Running CRC-32C of its observations.
+    /// Running CRC-32C of the producer's observations.
     #[prost(fixed32, tag = "5")]
     pub content_crc: u32,
-    /// The sensor of all its scans; absent: the map's own.
+    /// The sensor of all scans of the producer; absent: the sensor of the map.
     #[prost(message, optional, tag = "6")]
     pub sensor: Option<Sensor>,
     /// Sequence numbers before `durable_sequence` at which the running CRC is known, ascending.
     #[prost(uint64, repeated, tag = "7")]
     pub recent_sequences: Vec<u64>,
-    /// The running CRC at each.
+    /// The running CRC at each of `recent_sequences`.
     #[prost(fixed32, repeated, tag = "8")]
     pub recent_crcs: Vec<u32>,
-    /// When the newest of its observations was received, nanoseconds UTC.
+    /// Time at which the producer's newest observation was received, nanoseconds UTC.
     #[prost(sfixed64, tag = "9")]
     pub received_nanos: i64,
-    /// Whether it has sent scans.
+    /// Whether the producer has sent scans.
     #[prost(bool, tag = "10")]
     pub has_scans: bool,
-    /// Latest time of its observations that did not have to wait, nanoseconds UTC, in a map whose states do not all
-    /// report samples.
+    /// Latest time of the producer's observations that did not have to wait, nanoseconds UTC, in a map whose states do
+    /// not all report samples.
     #[prost(sfixed64, tag = "11")]
     pub newest_nanos: i64,
-    /// Whether it has given its place up.
+    /// Whether the producer has given its place up.
     #[prost(bool, tag = "12")]
     pub is_forgotten: bool,
-    /// The client that introduced it, as shares count clients; empty: one without a share.
+    /// The client that introduced the producer, as shares count clients; empty: a client without a share.
     #[prost(string, tag = "13")]
     pub introduced_by: String,
 }
 
-/// How long exact observations are kept.
+/// The time for which exact observations are kept.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Retention {
     /// 0 not at all, 1 for a duration, 2 for ever.
@@ -234,7 +234,7 @@ pub struct GridSpec {
     /// Frame id.
     #[prost(string, tag = "1")]
     pub frame_id: String,
-    /// Whether it has the one layer z = 0 alone.
+    /// Whether the grid has the layer z = 0 only.
     #[prost(bool, tag = "2")]
     pub is_flat: bool,
     /// Edge of a cell in metres.
@@ -243,7 +243,7 @@ pub struct GridSpec {
     /// Lower corner of cell (0, 0, 0) in metres: three.
     #[prost(fixed64, repeated, tag = "4")]
     pub origin_bits: Vec<u64>,
-    /// The cells that there may be; absent: it grows.
+    /// The cells that the grid may have; absent: the grid grows.
     #[prost(message, optional, tag = "5")]
     pub extent: Option<CellBox>,
     /// P(reads occupied | is occupied).
@@ -255,10 +255,10 @@ pub struct GridSpec {
     /// P(is occupied).
     #[prost(fixed64, tag = "8")]
     pub prior_bits: u64,
-    /// How long exact readings are kept.
+    /// The time for which exact readings are kept.
     #[prost(message, optional, tag = "9")]
     pub retention: Option<Retention>,
-    /// Half-life of readings; 0: all count alike.
+    /// Half-life of readings; 0: all readings have the same weight.
     #[prost(int64, tag = "10")]
     pub half_life_nanos: i64,
 }
@@ -269,7 +269,7 @@ pub struct CellBox {
     /// Lowest cell: x, y, z.
     #[prost(sint32, repeated, tag = "1")]
     pub min: Vec<i32>,
-    /// Beyond the highest cell: x, y, z.
+    /// The indices after those of the highest cell: x, y, z.
     #[prost(sint32, repeated, tag = "2")]
     pub max: Vec<i32>,
 }
@@ -281,7 +281,8 @@ pub struct State {
     pub id: u32,
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability, 1 continuous, 2 count, 3 the probability of a label, which is called NAME/LABEL.
+    /// Kind of the state: 0 probability, 1 continuous, 2 count, 3 the probability of a label, which has the name
+    /// NAME/LABEL.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
     /// Observations acknowledged.
@@ -293,13 +294,13 @@ pub struct State {
     /// Persistence: summed rate of change.
     #[prost(fixed64, tag = "6")]
     pub change_rate_sum_bits: u64,
-    /// The newest observation, where there is one.
+    /// The newest observation; absent if there is none.
     #[prost(message, optional, tag = "7")]
     pub last: Option<LastObservation>,
     /// The accumulator without its spectrum.
     #[prost(message, optional, tag = "8")]
     pub accumulator: Option<Accumulator>,
-    /// Per periodicity four doubles of eight bytes.
+    /// Four doubles of eight bytes for each periodicity.
     #[prost(bytes = "vec", tag = "9")]
     pub spectrum: Vec<u8>,
     /// The spectral model.
@@ -314,26 +315,26 @@ pub struct State {
     /// Last local day recorded in the errors, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "13")]
     pub errors_last_day: Option<i32>,
-    /// What is known apart from the spectrum; absent while the state is untrained.
+    /// The training data and models apart from the spectrum; absent while the state is untrained.
     #[prost(message, optional, tag = "14")]
     pub alternatives: Option<Alternatives>,
-    /// All readings, where they are few; there is no spectrum then.
+    /// All readings, if they are few; then there is no spectrum.
     #[prost(message, optional, tag = "15")]
     pub short: Option<ShortRecord>,
     /// The unusual observations among those that were learned; absent if there are none.
     #[prost(message, optional, tag = "16")]
     pub surprises: Option<Surprises>,
-    /// What is known about the newest reading; absent while the state is untrained.
+    /// The learned data for short-term forecasts; absent while the state is untrained.
     #[prost(message, optional, tag = "20")]
     pub belief: Option<Belief>,
-    /// The recent readings in spans of 16 bytes: nanoseconds of the first (8), milliseconds up to the last (4),
-    /// readings of 1 (2) and of 0 (2).
+    /// The recent readings in spans of 16 bytes: nanoseconds of the first reading (8), milliseconds from it to the last
+    /// reading (4), number of readings of 1 (2) and of 0 (2).
     #[prost(bytes = "vec", tag = "21")]
     pub recent: Vec<u8>,
-    /// The sensor that was stated for it; only of kind 0.
+    /// The sensor that was stated for the state; only of kind 0.
     #[prost(message, optional, tag = "22")]
     pub sensor: Option<Sensor>,
-    /// How its rows come about, if they are changes or events, and what of them is learned.
+    /// The reporting of the state and the learned data of its rows; absent unless the rows are changes or events.
     #[prost(message, optional, tag = "23")]
     pub rows: Option<super::rows::Rows>,
 }
@@ -341,13 +342,13 @@ pub struct State {
 /// Runs of observations of a state that its model did not expect before it learned them.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Surprises {
-    /// Ascending by the first time; at most 64.
+    /// The runs, ascending by the first time; at most 64.
     #[prost(message, repeated, tag = "1")]
     pub runs: Vec<SurpriseRun>,
-    /// Whether the run with the newest observation goes on with the next unusual one.
+    /// Whether the run with the newest observation continues with the next unusual one.
     #[prost(bool, tag = "2")]
     pub is_open: bool,
-    /// Number of runs that had to make room.
+    /// Number of runs that were removed to make room.
     #[prost(uint64, tag = "3")]
     pub dropped: u64,
 }
@@ -355,33 +356,34 @@ pub struct Surprises {
 /// A run of observations that begins with an unusual one.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct SurpriseRun {
-    /// Time of the first, nanoseconds UTC.
+    /// Time of the first observation, nanoseconds UTC.
     #[prost(sfixed64, tag = "1")]
     pub first_nanos: i64,
-    /// From the first to the last, nanoseconds.
+    /// Time from the first to the last observation, nanoseconds.
     #[prost(uint64, tag = "2")]
     pub length_nanos: u64,
     /// Number of observations that were not expected.
     #[prost(uint64, tag = "3")]
     pub observations: u64,
-    /// Whether they lie above what was expected.
+    /// Whether the observations lie above the prediction.
     #[prost(bool, tag = "4")]
     pub is_above: bool,
-    /// The value of the most surprising one.
+    /// The value of the most surprising observation.
     #[prost(fixed64, tag = "5")]
     pub value_bits: u64,
-    /// What the model said of it: the probability of 1, or of a value as far out.
+    /// The model's prediction for this observation: the probability of 1, or of a value at least as far from the
+    /// prediction.
     #[prost(fixed64, tag = "6")]
     pub probability_bits: u64,
-    /// The probability of that value; absent if it is the one before.
+    /// The probability of the observed value; absent if it equals `probability_bits`.
     #[prost(fixed64, optional, tag = "7")]
     pub observed_bits: Option<u64>,
-    /// The surprise of all looks, in bits.
+    /// The surprise of all half-hour bins, in bits.
     #[prost(fixed64, tag = "8")]
     pub surprise_bits: u64,
 }
 
-/// What is known about the newest reading of a state.
+/// The learned data for short-term forecasts of a state from its newest readings.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Belief {
     /// Whether every learned reading was 0 or 1.
@@ -394,17 +396,18 @@ pub struct Belief {
     #[prost(bytes = "vec", tag = "3")]
     pub recent: Vec<u8>,
     /// Eleven doubles: rise and fall per second of the readings and of the hidden chain; readings at 1, misses,
-    /// readings at 0 and false alarms; the probabilities of a miss and of a false alarm; the gain by them.
+    /// readings at 0 and false alarms; the probabilities of a miss and of a false alarm; the gain in log-likelihood by
+    /// these probabilities.
     #[prost(bytes = "vec", tag = "4")]
     pub numbers: Vec<u8>,
     /// Counts of successive readings, seven doubles per octave of the gap: its logarithm, the number and the gaps of
     /// the pairs, and how many stayed 0, rose, fell and stayed 1.
     #[prost(bytes = "vec", tag = "5")]
     pub seen: Vec<u8>,
-    /// Those of hidden values.
+    /// Expected counts of successive hidden values, in the form of `seen`.
     #[prost(bytes = "vec", tag = "6")]
     pub hidden: Vec<u8>,
-    /// Days learned.
+    /// Number of learned days.
     #[prost(uint32, tag = "7")]
     pub days: u32,
     /// Dwells at 0 and at 1.
@@ -413,7 +416,8 @@ pub struct Belief {
     /// The dwell that has not ended.
     #[prost(message, optional, tag = "9")]
     pub open: Option<OpenDwell>,
-    /// Per lag a double, twice: sums of products and of squares; empty before the first.
+    /// Sums by lead time: a double of products for each lead time, then a double of squares for each; empty before the
+    /// first sum.
     #[prost(bytes = "vec", tag = "10")]
     pub lead_sums: Vec<u8>,
 }
@@ -421,13 +425,13 @@ pub struct Belief {
 /// Completed dwells at a value.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct BeliefDwells {
-    /// Lengths in seconds, in force.
+    /// The lengths in seconds from which the survival is computed.
     #[prost(float, repeated, tag = "1")]
     pub secs: Vec<f32>,
-    /// Of how many dwells they are.
+    /// The number of dwells of which `secs` is a selection.
     #[prost(uint32, tag = "2")]
     pub count: u32,
-    /// Lengths of those since then.
+    /// The lengths in seconds of the dwells that have ended since then.
     #[prost(float, repeated, tag = "3")]
     pub fresh: Vec<f32>,
 }
@@ -435,42 +439,42 @@ pub struct BeliefDwells {
 /// A dwell that has not ended.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct OpenDwell {
-    /// Whether the state is 1 in it.
+    /// Whether the state is 1 in the dwell.
     #[prost(bool, tag = "1")]
     pub is_one: bool,
-    /// When it began, where that is known.
+    /// Time at which the dwell began; absent if it is not known.
     #[prost(sint64, optional, tag = "2")]
     pub since_nanos: Option<i64>,
-    /// How well its begin is known, in seconds.
+    /// Uncertainty of the time at which the dwell began, in seconds.
     #[prost(fixed64, tag = "3")]
     pub since_secs_bits: u64,
-    /// Time of its newest reading.
+    /// Time of the newest reading of the dwell.
     #[prost(sint64, tag = "4")]
     pub last_nanos: i64,
 }
 
-/// All readings of a state with few, from which its spectrum follows.
+/// All readings of a state with few readings. Its spectrum follows from them.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ShortRecord {
-    /// Per reading local civil time in nanoseconds since 1970-01-01T00:00 local, 8 bytes, and value, a double of 8
-    /// bytes; little-endian.
+    /// For each reading the local civil time in nanoseconds since 1970-01-01T00:00 local, 8 bytes, and the value, a
+    /// double of 8 bytes; little-endian.
     #[prost(bytes = "vec", tag = "1")]
     pub readings: Vec<u8>,
-    /// The number of readings of each batch in which they were folded in.
+    /// The number of readings of each batch that was folded in.
     #[prost(uint32, repeated, tag = "2")]
     pub batches: Vec<u32>,
 }
 
-/// What is known of a state apart from its spectrum.
+/// The training data and models of a state apart from its spectrum.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Alternatives {
-    /// Per hour of the local week from Monday on: weight and sum of values. Then per hour of the day, first of
-    /// weekdays, then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles,
+    /// For each hour of the local week from Monday on: weight and sum of values. Then for each hour of the day, first
+    /// of weekdays, then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles,
     /// little-endian.
     #[prost(bytes = "vec", tag = "1")]
     pub hours: Vec<u8>,
-    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week;
-    /// of the spectral model alone where histograms are not tried.
+    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week.
+    /// Only the sum of the spectral model where histograms are not tried.
     #[prost(fixed64, repeated, tag = "2")]
     pub error_sums_bits: Vec<u64>,
     /// Last local day recorded in the errors, in days since 1970-01-01.
@@ -484,7 +488,7 @@ pub struct Alternatives {
     /// the histogram, from 1.
     #[prost(uint32, tag = "5")]
     pub choice: u32,
-    /// How much the observations of the accumulator count together; absent: their number.
+    /// Total weight of the observations of the accumulator; absent: their number.
     #[prost(fixed64, optional, tag = "6")]
     pub weight_bits: Option<u64>,
     /// The change alarm.
@@ -493,35 +497,35 @@ pub struct Alternatives {
     /// Pairs of successive observations folded in.
     #[prost(uint64, tag = "8")]
     pub pairs: u64,
-    /// Their summed rate of change.
+    /// Summed rate of change of these pairs.
     #[prost(fixed64, tag = "9")]
     pub change_rate_sum_bits: u64,
     /// The newest observation folded in.
     #[prost(message, optional, tag = "10")]
     pub last: Option<LastObservation>,
-    /// Components that noise would not show as well.
+    /// Number of supported components: those that noise would not show as well.
     #[prost(uint32, tag = "11")]
     pub supported: u32,
-    /// Local days folded in, those that came late not counted.
+    /// Number of local days folded in, without days that came late.
     #[prost(uint32, tag = "12")]
     pub days: u32,
-    /// The calibrated model; absent before it was first trained.
+    /// The calibrated model; absent before its first training.
     #[prost(message, optional, tag = "13")]
     pub calibrated: Option<Calibrated>,
-    /// The other models that were trained on readings: a message [`super::trained::TrainedModels`]; empty if none.
+    /// The other models that were trained on readings: a message [`super::trained::TrainedModels`]; empty if there is
+    /// none.
     #[prost(bytes = "vec", tag = "14")]
     pub trained: Vec<u8>,
-    /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
+    /// The first local day of the present routine, in days since 1970-01-01; absent if the change alarm never rang.
     #[prost(sint32, optional, tag = "15")]
     pub since: Option<i32>,
-    /// What the choice of orders has gained: number of days, sum of gains, sum of squared gains; empty before
-    /// the first day.
+    /// Gains of the choice of orders: number of days, sum of gains, sum of squared gains; empty before the first day.
     #[prost(fixed64, repeated, tag = "16")]
     pub gains_bits: Vec<u64>,
-    /// Number of times between readings that were sampled.
+    /// Number of gaps between readings from which the sample was drawn.
     #[prost(uint64, tag = "17")]
     pub gaps: u64,
-    /// Those that are kept: number and whole seconds of each in turn.
+    /// The kept gaps: number and whole seconds of each in turn.
     #[prost(uint64, repeated, tag = "18")]
     pub kept_gaps: Vec<u64>,
     /// Sum of |change of value| between readings.
@@ -538,22 +542,22 @@ pub struct Alternatives {
 /// The calibrated model of a state, as it was last trained.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Calibrated {
-    /// The last local day that it was trained on, in days since 1970-01-01.
+    /// The last local day that the model was trained on, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
-    /// Faded sum of errors; absent before the first day that it was scored on.
+    /// Faded sum of errors; absent before the first day that the model was scored on.
     #[prost(fixed64, optional, tag = "2")]
     pub error_sum_bits: Option<u64>,
-    /// Number of readings that it was trained on.
+    /// Number of readings that the model was trained on.
     #[prost(uint64, tag = "3")]
     pub observations: u64,
-    /// The lowest of them.
+    /// The lowest of these readings.
     #[prost(fixed64, tag = "4")]
     pub lowest_bits: u64,
-    /// The highest of them.
+    /// The highest of these readings.
     #[prost(fixed64, tag = "5")]
     pub highest_bits: u64,
-    /// What to expect in each slot of ten minutes of the local week from Monday on: 1,008 doubles, little-endian.
+    /// The prediction for each slot of ten minutes of the local week from Monday on: 1,008 doubles, little-endian.
     #[prost(bytes = "vec", tag = "6")]
     pub profile: Vec<u8>,
 }
@@ -561,19 +565,19 @@ pub struct Calibrated {
 /// The change alarm of a state.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Alarm {
-    /// Of weekdays, then of weekends: days, mean and variance of the errors. Six doubles.
+    /// Number of days, mean and variance of the errors, first of weekdays, then of weekends. Six doubles.
     #[prost(fixed64, repeated, tag = "1")]
     pub history_bits: Vec<u64>,
-    /// Faded mean number of observations of a day.
+    /// Faded mean number of observations in a day.
     #[prost(fixed64, tag = "2")]
     pub typical_observations_bits: u64,
     /// The cumulative sum.
     #[prost(fixed64, tag = "3")]
     pub sum_bits: u64,
-    /// The last local day taken in.
+    /// The last local day that the alarm has used.
     #[prost(sint32, optional, tag = "4")]
     pub last_day: Option<i32>,
-    /// The local day on which it rang, where it rings.
+    /// The local day on which the alarm rang; absent if it does not ring.
     #[prost(sint32, optional, tag = "5")]
     pub alarm_day: Option<i32>,
 }

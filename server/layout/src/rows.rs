@@ -1,8 +1,8 @@
-//! The reporting of a state whose rows are no readings, and the stored data of its rows.
+//! The reporting of a state whose rows are not readings, and the stored data of its rows.
 //!
-//! Invariant: a frozen layout. Fields may be added, none may change.
+//! Invariant: the layout is frozen. Fields may be added, but none may change.
 
-/// How the rows of a state come about that are no readings.
+/// The reporting of a state whose rows are not readings.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Reporting {
     /// 1 changes, 2 events.
@@ -16,13 +16,13 @@ pub struct Reporting {
     pub step_secs: u32,
 }
 
-/// A row: a value, or that none is known from then on.
+/// A row: a value, or the end of the known values.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Row {
-    /// Nanoseconds UTC.
+    /// Time of the row, nanoseconds UTC.
     #[prost(sfixed64, tag = "1")]
     pub nanos: i64,
-    /// Absent: none is known.
+    /// Value of the row; absent: from then on no value is known.
     #[prost(fixed64, optional, tag = "2")]
     pub value_bits: Option<u64>,
 }
@@ -30,7 +30,7 @@ pub struct Row {
 /// The newest row that arrived.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct NewestRow {
-    /// Nanoseconds UTC.
+    /// Time of the row, nanoseconds UTC.
     #[prost(sfixed64, tag = "1")]
     pub nanos: i64,
     /// Whether the row has a value.
@@ -42,7 +42,7 @@ pub struct NewestRow {
     /// The producer that sent it.
     #[prost(uint32, tag = "4")]
     pub producer: u32,
-    /// Events of its step.
+    /// Number of events in the step of the row.
     #[prost(fixed64, tag = "5")]
     pub events_bits: u64,
 }
@@ -52,10 +52,10 @@ pub struct NewestRow {
 pub struct Rows {
     #[prost(message, optional, tag = "1")]
     pub reporting: Option<Reporting>,
-    /// Number of rows that are learned.
+    /// Number of rows so far, including the rows that wait.
     #[prost(uint64, tag = "2")]
     pub learned: u64,
-    /// The first instant that was learned, nanoseconds UTC; absent: none was.
+    /// The first instant that was learned, nanoseconds UTC; absent: no instant was learned.
     #[prost(sfixed64, optional, tag = "3")]
     pub first_nanos: Option<i64>,
     /// The next instant to learn, nanoseconds UTC.
@@ -64,13 +64,13 @@ pub struct Rows {
     /// The newest row that is learned.
     #[prost(message, optional, tag = "5")]
     pub newest_learned: Option<Row>,
-    /// Events since the next instant; absent: there is no row of such.
+    /// Number of events since `next_nanos`, which wait for the end of their step; absent: there is no row since then.
     #[prost(fixed64, optional, tag = "6")]
     pub open_events_bits: Option<u64>,
     /// The newest row that arrived.
     #[prost(message, optional, tag = "7")]
     pub newest: Option<NewestRow>,
-    /// Rows that were taken and are not learned yet, ascending by time.
+    /// Rows that were accepted and are not learned yet, ascending by time.
     #[prost(message, repeated, tag = "8")]
     pub waiting: Vec<Row>,
 }

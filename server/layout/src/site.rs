@@ -2,17 +2,17 @@
 //!
 //! | number | table | row | change |
 //! | --- | --- | --- | --- |
-//! | 1 | charger | [`Position`]; one at most | [`ChargerEdit`] |
+//! | 1 | charger | [`Position`]; at most one | [`ChargerEdit`] |
 //! | 2 | locations, ascending by name | [`Location`] | [`LocationEdit`] |
 //! | 3 | no-go areas, ascending by name | [`NoGoArea`] | [`NoGoEdit`] |
-//! | 4 | places that robots tried to reach | [`Reachability`]; one at most | [`Visit`] |
-//! | 5 | topological map | [`super::topology::Topology`]; one at most | [`super::topology::Edit`] |
-//! | 6 | failed traversals | [`FailedTraversals`]; one at most | with observations |
-//! | 7 | tasks | [`super::task::TaskBook`]; one at most | [`super::task::TaskEdit`] |
+//! | 4 | places that robots tried to reach | [`Reachability`]; at most one | [`Visit`] |
+//! | 5 | topological map | [`super::topology::Topology`]; at most one | [`super::topology::Edit`] |
+//! | 6 | failed traversals | [`FailedTraversals`]; at most one | with observations |
+//! | 7 | tasks | [`super::task::TaskBook`]; at most one | [`super::task::TaskEdit`] |
 //! | 8 | landmarks, by node, then by edge | [`super::landmark::LandmarksAtPlace`] | [`super::landmark::LandmarkEdit`] |
 //!
-//! Invariant: an empty table has no row; the number of a table is never given to another one. Doubles are kept as their
-//! bits.
+//! Invariant: an empty table has no row; the number of a table is never given to another table. Doubles are stored as
+//! their bits.
 
 /// A row of a table, in a checkpoint and, in parts, in the index.
 #[derive(Clone, PartialEq, prost::Message)]
@@ -47,7 +47,7 @@ pub struct Position {
     pub y_bits: u64,
 }
 
-/// States that are seen together.
+/// States that a robot observes together.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Location {
     #[prost(string, tag = "1")]
@@ -123,10 +123,10 @@ pub struct EdgeFailure {
     /// Action of the edge; empty: the usual one.
     #[prost(string, tag = "3")]
     pub action: String,
-    /// When the robot set out.
+    /// Time at which the robot set out.
     #[prost(sint64, tag = "4")]
     pub start_nanos: i64,
-    /// When the robot gave up.
+    /// Time at which the robot gave up.
     #[prost(sint64, tag = "5")]
     pub end_nanos: i64,
     /// Reason of the failure, at most 200 characters.
@@ -134,7 +134,7 @@ pub struct EdgeFailure {
     pub reason: String,
 }
 
-/// An area that nothing is planned through.
+/// An area through which no path is planned.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NoGoArea {
     #[prost(string, tag = "1")]
@@ -147,7 +147,7 @@ pub struct NoGoArea {
 /// The places that robots tried to reach.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Reachability {
-    /// Ascending by x, then y.
+    /// The cells, ascending by x, then y.
     #[prost(message, repeated, tag = "1")]
     pub cells: Vec<Attempts>,
 }
@@ -155,7 +155,7 @@ pub struct Reachability {
 /// The newest traversals that failed.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct FailedTraversals {
-    /// Ascending by start.
+    /// The failures, ascending by start.
     #[prost(message, repeated, tag = "1")]
     pub failures: Vec<EdgeFailure>,
 }
@@ -163,7 +163,7 @@ pub struct FailedTraversals {
 /// A change of the charger, where the robot rests.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct ChargerEdit {
-    /// Absent: nowhere in particular.
+    /// Position of the charger; absent: the robot rests at no particular place.
     #[prost(message, optional, tag = "1")]
     pub position: Option<Position>,
 }

@@ -1,6 +1,6 @@
 //! The tasks of a site, the kept plans of days, and the reports of runs.
 //!
-//! Invariant: as in [`super::site`].
+//! Invariant: the invariant of [`super::site`] holds here too.
 
 /// A task.
 #[derive(Clone, PartialEq, prost::Message)]
@@ -46,7 +46,7 @@ pub struct TaskName {
 /// A step of a plan: a task where `kind` is not empty, otherwise exploration.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct PlanStep {
-    /// When the robot departs for the step.
+    /// Time at which the robot departs for the step.
     #[prost(sint64, tag = "1")]
     pub departure_nanos: i64,
     /// Time from the departure to the beginning of the step.
@@ -76,7 +76,7 @@ pub struct Plan {
     pub day: i32,
     #[prost(sint64, tag = "2")]
     pub made_nanos: i64,
-    /// Ascending by start.
+    /// The steps, ascending by start.
     #[prost(message, repeated, tag = "3")]
     pub steps: Vec<PlanStep>,
 }
@@ -106,13 +106,13 @@ pub struct TaskRun {
 /// The tasks, kept plans and reports of a site.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TaskBook {
-    /// Ascending by kind, then by node.
+    /// The tasks, ascending by kind, then by node.
     #[prost(message, repeated, tag = "1")]
     pub tasks: Vec<Task>,
-    /// Ascending by day.
+    /// The kept plans, ascending by day.
     #[prost(message, repeated, tag = "2")]
     pub plans: Vec<Plan>,
-    /// Ascending by start.
+    /// The reports of runs, ascending by start.
     #[prost(message, repeated, tag = "3")]
     pub runs: Vec<TaskRun>,
 }

@@ -1,7 +1,7 @@
 //! The topological map of a site, and its edits.
 //!
-//! Invariant: doubles are kept as their bits; an absent value was not given. Nodes have names in edits, numbers in the
-//! map.
+//! Invariant: doubles are stored as their bits; an absent value was not given. Edits identify nodes by name, the map
+//! identifies them by number.
 
 /// Position and heading of a node, as bits.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
@@ -17,7 +17,7 @@ pub struct Pose {
     pub yaw_bits: u64,
 }
 
-/// A node; in an edit without number.
+/// A node. In an edit it has no number.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Node {
     #[prost(uint32, tag = "1")]
@@ -32,24 +32,24 @@ pub struct Node {
     pub dwell_bits: Option<u64>,
 }
 
-/// An edge between nodes by number.
+/// An edge between two nodes that are given by number.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Edge {
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Number of the node where it begins.
+    /// Number of the node where the edge begins.
     #[prost(uint32, tag = "2")]
     pub from: u32,
-    /// Number of the node where it ends.
+    /// Number of the node where the edge ends.
     #[prost(uint32, tag = "3")]
     pub to: u32,
     /// Action by which the edge is travelled.
     #[prost(string, optional, tag = "4")]
     pub action: Option<String>,
-    /// Metres.
+    /// Length of the edge, metres.
     #[prost(fixed64, optional, tag = "5")]
     pub length_bits: Option<u64>,
-    /// Seconds.
+    /// Nominal duration of a traversal, seconds.
     #[prost(fixed64, optional, tag = "6")]
     pub nominal_bits: Option<u64>,
 }
@@ -71,25 +71,25 @@ pub struct Topology {
     pub edges: Vec<Edge>,
 }
 
-/// An edge between nodes by name.
+/// An edge between two nodes that are given by name.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct NamedEdge {
-    /// Name of the node where it begins.
+    /// Name of the node where the edge begins.
     #[prost(string, tag = "1")]
     pub from: String,
-    /// Name of the node where it ends.
+    /// Name of the node where the edge ends.
     #[prost(string, tag = "2")]
     pub to: String,
     /// Action by which the edge is travelled.
     #[prost(string, optional, tag = "3")]
     pub action: Option<String>,
-    /// The edge back as well.
+    /// Whether the edit also contains the edge back.
     #[prost(bool, tag = "4")]
     pub both_ways: bool,
-    /// Metres.
+    /// Length of the edge, metres.
     #[prost(fixed64, optional, tag = "5")]
     pub length_bits: Option<u64>,
-    /// Seconds.
+    /// Nominal duration of a traversal, seconds.
     #[prost(fixed64, optional, tag = "6")]
     pub nominal_bits: Option<u64>,
 }
@@ -103,7 +103,7 @@ pub struct Load {
     /// Edges.
     #[prost(message, repeated, tag = "2")]
     pub edges: Vec<NamedEdge>,
-    /// Whether nodes and edges that are not named are removed.
+    /// Whether nodes and edges that are not listed are removed.
     #[prost(bool, tag = "3")]
     pub replaces: bool,
 }
@@ -111,7 +111,7 @@ pub struct Load {
 /// Another name of a node.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Rename {
-    /// The name so far.
+    /// The old name.
     #[prost(string, tag = "1")]
     pub from: String,
     /// The new name.
@@ -136,19 +136,19 @@ pub enum Change {
     /// A node is added.
     #[prost(message, tag = "2")]
     AddNode(Node),
-    /// A node's pose and visit.
+    /// The pose and the visit duration of a node are set.
     #[prost(message, tag = "3")]
     SetNode(Node),
     /// The node of this name is removed.
     #[prost(string, tag = "4")]
     RemoveNode(String),
-    /// A node has another name.
+    /// A node gets another name.
     #[prost(message, tag = "5")]
     RenameNode(Rename),
     /// An edge is added.
     #[prost(message, tag = "6")]
     AddEdge(NamedEdge),
-    /// An edge's length and time.
+    /// The length and the nominal duration of an edge are set.
     #[prost(message, tag = "7")]
     SetExtent(NamedEdge),
     /// An edge is removed.

@@ -1,8 +1,8 @@
-//! Models of a state that were trained on its readings, apart from the calibrated one.
+//! Models of a state that were trained on its readings, apart from the calibrated model.
 //!
 //! Invariant: a list of numbers has the length that the model requires; the reader checks that.
 
-/// The models of a state as they were last trained; absent before they were first trained.
+/// The models of a state after their last training; a model is absent before its first training.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct TrainedModels {
     /// The periodic mixture of Gaussians.
@@ -19,13 +19,13 @@ pub struct TrainedModels {
     pub poisson: Option<Poisson>,
 }
 
-/// When a model was trained, and its errors since.
+/// The last training of a model, and the errors of the model since.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Training {
-    /// The last local day that it was trained on, in days since 1970-01-01.
+    /// The last local day that the model was trained on, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
-    /// Faded sum of errors; absent before the first day that it was scored on.
+    /// Faded sum of errors; absent before the first day that the model was scored on.
     #[prost(fixed64, optional, tag = "2")]
     pub error_sum_bits: Option<u64>,
 }
@@ -33,13 +33,13 @@ pub struct Training {
 /// A periodic mixture of Gaussians.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Pergam {
-    /// When it was trained.
+    /// The last training of the model.
     #[prost(message, optional, tag = "1")]
     pub training: Option<Training>,
     /// Period of the mixture, in nanoseconds.
     #[prost(sint64, tag = "2")]
     pub period_nanos: i64,
-    /// Weight, mean and standard deviation of each Gaussian, the latter two in seconds.
+    /// Weight, mean and standard deviation of each Gaussian; mean and standard deviation are in seconds.
     #[prost(fixed64, repeated, tag = "3")]
     pub gaussians_bits: Vec<u64>,
 }
@@ -47,13 +47,13 @@ pub struct Pergam {
 /// The rate of counts, a mean with periodic components.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Poisson {
-    /// When it was trained.
+    /// The last training of the model.
     #[prost(message, optional, tag = "1")]
     pub training: Option<Training>,
     /// Length of a bin.
     #[prost(sint64, tag = "2")]
     pub bin_nanos: i64,
-    /// Mean and lowest count of a bin, and readings of an observed bin.
+    /// Mean and lowest count of a bin, and number of readings in an observed bin.
     #[prost(fixed64, repeated, tag = "3")]
     pub rate_bits: Vec<u64>,
     /// Indices of the components among the map's periodicities.
@@ -64,19 +64,19 @@ pub struct Poisson {
     pub gammas_bits: Vec<u64>,
 }
 
-/// A warped hypertime.
+/// A warped hypertime model.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Hypertime {
-    /// When it was trained.
+    /// The last training of the model.
     #[prost(message, optional, tag = "1")]
     pub training: Option<Training>,
-    /// Its periods, as divisors of their cycles.
+    /// The periods of the model, as divisors of their cycles.
     #[prost(uint32, repeated, tag = "2")]
     pub divisors: Vec<u32>,
-    /// Of a probability: mean, background, ln of the factors of ones and of zeros. Otherwise empty.
+    /// For a probability: mean, background, ln of the factors of ones and of zeros. Otherwise empty.
     #[prost(fixed64, repeated, tag = "3")]
     pub odds_bits: Vec<u64>,
-    /// Of a continuous value or a count: centre, scale, lowest and highest. Otherwise empty.
+    /// For a continuous value or a count: centre, scale, lowest and highest value. Otherwise empty.
     #[prost(fixed64, repeated, tag = "4")]
     pub axis_bits: Vec<u64>,
     /// Clusters of readings that are 1, or of continuous values or counts.
@@ -85,7 +85,7 @@ pub struct Hypertime {
     /// Clusters of readings that are 0.
     #[prost(message, repeated, tag = "6")]
     pub zeros: Vec<Cluster>,
-    /// Of a probability: the factor on the ratio of the densities. Otherwise 0.
+    /// For a probability: the factor on the ratio of the densities. Otherwise 0.
     #[prost(fixed64, tag = "7")]
     pub gain_bits: u64,
     /// The cycle that each period divides.
@@ -96,19 +96,19 @@ pub struct Hypertime {
 /// A cluster in hypertime.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Cluster {
-    /// Its share of the readings.
+    /// Share of the readings that belong to the cluster.
     #[prost(fixed64, tag = "1")]
     pub weight_bits: u64,
     /// Mean of the cluster, one number per coordinate, as bits of f64.
     #[prost(fixed64, repeated, tag = "2")]
     pub centre_bits: Vec<u64>,
-    /// Rows of the lower triangular factor of its covariance.
+    /// Rows of the lower triangular factor of the covariance of the cluster.
     #[prost(fixed64, repeated, tag = "3")]
     pub factor_bits: Vec<u64>,
     /// Direction on the circle of each period, in radians.
     #[prost(fixed64, repeated, tag = "4")]
     pub directions_bits: Vec<u64>,
-    /// Concentration around each of them.
+    /// Concentration around each of these directions.
     #[prost(fixed64, repeated, tag = "5")]
     pub concentrations_bits: Vec<u64>,
 }

@@ -1,7 +1,7 @@
 //! Conversion of the domain's types to records of the disk format, and back.
 //!
-//! Invariant: what is written can be read. A value that could not be read back is refused before it is written, and a
-//! value that is read has passed the constructors of the domain.
+//! Invariant: each written record can be read. A value that could not be read back is refused before it is written, and
+//! a value that is read has passed the constructors of the domain.
 
 mod alternatives;
 pub(crate) mod belief;
@@ -32,5 +32,5 @@ pub(crate) mod tile_set;
 mod trained;
 mod varint;
 
-/// Why a record cannot be written, or is invalid.
+/// The reason why a record cannot be written, or is invalid.
 pub(crate) type Invalid = &'static str;

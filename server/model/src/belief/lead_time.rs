@@ -1,5 +1,5 @@
-//! The weight of the forecast from the newest readings against a prediction, by lead time. A lead time (`lead` in
-//! identifiers) is the time from the newest reading to the predicted moment.
+//! The weight of the forecast from the newest readings against a prediction, by lead time. A lead time is the time from
+//! the newest reading to the predicted moment.
 //!
 //! p = a + w(u - a), with the prediction a and the forecast u from the newest readings. The weight of a lead time is
 //! that of least squares on values y that neither a nor u had learned, shrunk to the weight w⁰ of the next shorter lead
@@ -46,8 +46,8 @@ impl LeadTimeWeights {
         (0.0..LEAD_TIMES as f64).contains(&place).then_some(place as usize)
     }
 
-    /// Adds a value y, with its prediction a and the forecast u from readings at this lead time. `unit`: the state's
-    /// variance.
+    /// Adds a value y, with its prediction a and the forecast u from readings at this lead time; the arguments are the
+    /// number of the lead time, and (y, a, u). `unit`: the state's variance.
     pub(super) fn add(&mut self, lead: usize, (value, predicted, stored): (f64, f64, f64), unit: f64) {
         if let (Some(products), Some(squares)) = (self.products.get_mut(lead), self.squares.get_mut(lead)) {
             *products += (value - predicted) * (stored - predicted) / unit;

@@ -13,7 +13,7 @@ use crate::{
     models::markov_chain::likelihood::{GapCounts, Transitions},
 };
 
-/// What a [`Belief`] consists of, for storage.
+/// The parts of a [`Belief`], for storage.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BeliefParts {
     /// Whether every learned reading was 0 or 1.
@@ -24,29 +24,30 @@ pub struct BeliefParts {
     pub recent: Vec<RecentSpan>,
     /// Counts of successive readings.
     pub seen: Vec<GapCountParts>,
-    /// Rise and fall per second that make them most likely.
+    /// Rise and fall per second that make `seen` most likely.
     pub seen_rates: [f64; 2],
     /// Expected counts of successive hidden values.
     pub hidden: Vec<GapCountParts>,
     /// Rise and fall per second of the hidden chain.
     pub hidden_rates: [f64; 2],
-    /// Expected readings while the state is 1, of these readings of 0; readings while it is 0, of these readings of 1.
+    /// Expected numbers of readings: while the state is 1, and among these readings of 0; while the state is 0, and
+    /// among these readings of 1.
     pub errors: [f64; 4],
-    /// Miss and false alarm of the sensor.
+    /// The probabilities of a miss and of a false alarm of the sensor.
     pub noise: [f64; 2],
-    /// What noise has gained on readings that were not yet learned, in nats.
+    /// The log-likelihood that sensor noise has gained on readings before they were learned, in nats.
     pub gain: f64,
-    /// Days learned.
+    /// Number of learned days.
     pub days: u32,
-    /// Lengths in seconds of completed dwells at 0 and at 1.
+    /// Lengths in seconds of completed dwells at 0 and at 1, from which the survival is computed.
     pub dwells: [Vec<f32>; 2],
-    /// Of how many dwells these are.
+    /// The numbers of dwells of which `dwells` are selections.
     pub dwell_counts: [u32; 2],
-    /// Lengths of the dwells since then.
+    /// Lengths in seconds of the dwells that have ended since then.
     pub fresh_dwells: [Vec<f32>; 2],
     /// The dwell that has not ended.
     pub open: Option<OpenDwell>,
-    /// The sums of the weights by lag; empty before the first.
+    /// The sums by lead time, from which the weights follow; empty before the first sum.
     pub lead_sums: Vec<f64>,
 }
 
@@ -55,20 +56,21 @@ pub struct BeliefParts {
 pub struct GapCountParts {
     /// ⌊log₂⌋ of the gap in nanoseconds.
     pub octave: u32,
-    /// Number of pairs, and the sum of their gaps in seconds.
+    /// Number of pairs, and the sum of the gaps of these pairs in seconds.
     pub pairs: [f64; 2],
-    /// Pairs that stayed 0, rose, fell and stayed 1.
+    /// Numbers of pairs that stayed 0, rose, fell and stayed 1.
     pub counts: [f64; 4],
 }
 
 /// A dwell that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenDwell {
-    /// Whether the state is 1 in it.
+    /// Whether the state is 1 in the dwell.
     pub is_one: bool,
-    /// UTC nanoseconds of its begin, and how well that is known, in seconds; `None`: before the first reading.
+    /// The time at which the dwell began, UTC nanoseconds, and the uncertainty of this time, in seconds; `None`: before
+    /// the first reading.
     pub since: Option<(i64, f64)>,
-    /// UTC nanoseconds of its newest reading.
+    /// The time of the newest reading of the dwell, UTC nanoseconds.
     pub last_nanos: i64,
 }
 
@@ -102,7 +104,7 @@ impl Belief {
         }
     }
 
-    /// What is learned about the newest reading of a state of this kind, from stored parts.
+    /// The belief of a state of this kind, from stored parts.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range.
@@ -133,7 +135,7 @@ impl Belief {
         let open = parts.open.map(|OpenDwell { is_one, since, last_nanos }| UnendedDwell { is_one, since, last_nanos });
         Ok(Belief {
             has_two_values: parts.has_two_values && kind == StateKind::Probability,
-            // The record of the state has it.
+            // The record of the state contains the sensor.
             sensor: None,
             newest: parts.newest,
             recent: Recent::from_spans(&parts.recent)?,

@@ -1,5 +1,4 @@
-//! Half-hour bins: the mean of the readings of a state in each half-hour of a local day. Identifiers call a bin a
-//! `bin`.
+//! Half-hour bins: the mean of the readings of a state in each half-hour of a local day.
 //!
 //! All readings of one half-hour are one bin, however many they are: the mean of their values. So a robot that reads a
 //! door once a second gains no more certainty than one that reads it once a minute. Invariant: the bins of a day depend

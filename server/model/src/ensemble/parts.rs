@@ -21,69 +21,69 @@ const WEEK: usize = 7 * HOURS;
 /// Bytes of a seen day.
 const DAY_BYTES: usize = 8 + SLOTS / 2;
 
-/// What an [`Ensemble`] consists of, for storage. Every list has one length; `recall` and `residuals` may be empty.
+/// The parts of an [`Ensemble`], for storage. Every list has a fixed length; `recall` and `residuals` may be empty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnsembleParts {
-    /// Sum and number of all looks.
+    /// Sum and number of all half-hour bins.
     pub bins: [f64; 2],
     /// The last learned day.
     pub last_day: Option<LocalDay>,
-    /// Of the table of all history, then of the recent one: 168 sums, 168 numbers of looks, 24 weights of priors.
+    /// The table of all history, then the recent table, each: 168 sums, 168 numbers of bins, 24 weights of priors.
     pub tables: [Vec<f32>; 2],
-    /// By half-hour of weekdays and of weekends: sums, numbers, newest looks.
+    /// Sums, numbers and newest bins, each by half-hour of weekdays, then of weekends.
     pub alike: Vec<f32>,
-    /// Of each of the last 126 days, by its number modulo 126: 8 bytes of bits by half-hour, little-endian, 24 of
-    /// values.
+    /// The bins of the last 126 days, each day at its number modulo 126: 8 bytes of bits by half-hour, little-endian,
+    /// 24 bytes of values.
     pub recall: Vec<u8>,
-    /// Of each of the last 42 days, by its number modulo 42: 48 residuals.
+    /// The residuals of the last 42 days, each day at its number modulo 42: 48 residuals.
     pub residuals: Vec<i8>,
-    /// The last day of them.
+    /// The last day of the residuals.
     pub residuals_day: Option<LocalDay>,
-    /// By rotation: 41 sums of products, 41 of squares.
+    /// Sums by rotation: 41 of products, 41 of squares.
     pub rotations: Vec<f32>,
-    /// Means of five days: first day, mean, looks.
+    /// Means of five days: first day, mean, number of bins.
     pub five_days: Vec<(i32, f32, f32)>,
     /// The first and the last day of the season.
     pub season_days: [Option<LocalDay>; 2],
     /// Gaps between observed days by class.
     pub gaps: [u32; GAPS.len()],
-    /// The rhythm of the year: mean, then cosine and sine by harmonic.
+    /// The rhythm of the year: mean, then cosine and sine of each harmonic.
     pub rhythm: [f64; 7],
-    /// Of each stack: 105 sums of squares, 14 of products, 14 weights.
+    /// The numbers of each stack: 105 sums of squares, 14 of products, 14 weights.
     pub stacks: [Vec<f32>; 2],
     /// The losses of the members.
     pub losses: [f32; MEMBERS],
-    /// The classes of the time ahead.
+    /// The lead-time classes.
     pub classes: [ClassParts; CLASSES],
-    /// The correction and the dependence.
+    /// The sums of the correction, then of the dependence.
     pub calibration: [f32; 4],
-    /// The smooth table of 48 hours, and the number of looks for which it was made.
+    /// The smooth table of 48 hours, and the number of bins for which it was computed.
     pub smooth: Option<(Vec<f64>, f64)>,
 }
 
-/// A class of the time ahead, for storage.
+/// A lead-time class, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassParts {
-    /// The losses of the members far ahead.
+    /// The losses of the members at long lead times.
     pub losses: [f32; FAR_MEMBERS],
-    /// Looks explained by the pool, and by the mean.
+    /// Number of bins explained by the pool, and by the mean.
     pub explained: [f32; 2],
-    /// Number of looks.
+    /// Number of bins.
     pub bins: f32,
-    /// What was said before, the newer first.
+    /// The stored forecasts of the two last turns of the class, the newer first.
     pub stored: [Option<StoredForecastParts>; 2],
 }
 
-/// What the members said at the end of a day, for storage.
+/// The forecasts of the members at the end of a day, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredForecastParts {
-    /// The day.
+    /// The day at whose end the forecasts were made.
     pub day: LocalDay,
-    /// The mean.
+    /// The mean of all bins.
     pub mean: f32,
-    /// By hour of the week in 255ths: of the table of all history, of the recent one, of the chosen model.
+    /// Forecasts by hour of the week in 255ths: of the table of all history, of the recent table, of the chosen model.
     pub weeks: Vec<u8>,
-    /// As [`EnsembleParts::rhythm`].
+    /// The rhythm of the year, in the form of [`EnsembleParts::rhythm`].
     pub rhythm: [f64; 7],
 }
 

@@ -13,7 +13,7 @@ use super::stack::clip;
 use crate::LocalDay;
 use crate::special::square;
 
-/// Number of days of one mean.
+/// Number of days in one mean.
 const BIN_DAYS: i64 = 5;
 /// Maximum number of means: four years.
 const FIVE_DAYS_MAX: usize = 293;
@@ -66,7 +66,7 @@ pub(super) struct Season {
     /// Number of gaps between observed days in each class; see [`GAPS`].
     pub(super) gaps: [u32; GAPS.len()],
     pub(super) rhythm: Rhythm,
-    /// The map names the year as a period. Not stored: each update sets it before it learns.
+    /// The map names the year as a period. This field is not stored; each update sets it before it learns.
     pub(super) is_expected: bool,
 }
 
@@ -101,7 +101,7 @@ fn phases(day: f64) -> [[f64; 2]; ORDERS] {
 impl Rhythm {
     pub(super) const UNKNOWN: Rhythm = Rhythm { mean: 0.5, waves: [[0.0; 2]; ORDERS] };
 
-    /// The value on a day, whatever the hour.
+    /// The value on a day, for all hours.
     pub(super) fn at(&self, day: LocalDay) -> f64 {
         if self.waves == [[0.0; 2]; ORDERS] {
             return clip(self.mean);
@@ -243,7 +243,7 @@ impl Season {
         let dependence =
             if adjacent.len() > 3 { (adjacent.iter().sum::<f64>() / squared_error.max(1e-9)).max(0.0) } else { 0.0 };
         let independent = (number as f64 * (1.0 - dependence) / (1.0 + dependence)).max(4.0);
-        // The variation that as many waves would explain in noise, and the variation that they do explain.
+        // The variation that the same number of waves would explain in noise, and the variation that the waves explain.
         let (waves, number) = (2.0 * order as f64, number as f64);
         let noise = waves * squared_error / (independent - waves - 1.0).max(1.0);
         let explained = ((flat_error - squared_error) * independent / number).max(1e-9);
@@ -251,7 +251,7 @@ impl Season {
         Some(Solved { order, independent, squared_error, coefficients, shrunk: (1.0 - noise / explained).max(0.0) })
     }
 
-    /// The mean of the state on the same days of earlier years, shrunk to `rhythm`'s value on the day.
+    /// The mean of the state on the same days of earlier years, shrunk towards the value of `rhythm` on the day.
     pub(super) fn years_ago(&self, day: LocalDay, rhythm: &Rhythm) -> f64 {
         let (mut sum, mut number) = (RHYTHM_BINS * rhythm.at(day), RHYTHM_BINS);
         for years in 1..=YEARS {
@@ -293,7 +293,7 @@ mod tests {
 
     #[test]
     fn a_year_that_is_named_needs_fewer_bins() {
-        // Eleven monthly bins; those of the winter differ.
+        // The season has eleven monthly bins; the bins of the winter differ.
         let swing = |is_expected: bool| {
             let mut season = Season { is_expected, ..Season::new() };
             (0..11).for_each(|month| season.learn(LocalDay(30 * month), f64::from(u8::from(month < 4)), 1.0));

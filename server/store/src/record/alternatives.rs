@@ -19,7 +19,7 @@ const DAYS: usize = 48 * 3;
 /// Slots of ten minutes of a week.
 const SLOTS: usize = 1008;
 
-/// `weight`: total weight of the observations, if it differs from their number.
+/// The message. `weight`: total weight of the observations, if it differs from their number.
 pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> layout::Alternatives {
     let parts = alternatives.to_parts();
     let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);
@@ -79,7 +79,7 @@ pub(super) fn decode_alarm(message: Option<&layout::Alarm>) -> Result<ChangeAlar
     })
 }
 
-/// Gains; nothing before the first day.
+/// Encodes the gains; empty before the first day.
 pub(super) fn encode_gains(gains: OrderGainsParts) -> Vec<u64> {
     if gains == OrderGainsParts::default() {
         return Vec::new();

@@ -1,6 +1,6 @@
-//! What is known about the newest reading of a state, and its recent readings, as messages, and back.
+//! The learned data for short-term forecasts of a state, and its recent readings, as messages, and back.
 //!
-//! Invariant: every number is read back bit by bit; what is read has passed the constructors of the model.
+//! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
 
 use tidemap_layout::map as layout;
 use tidemap_model::{Belief, BeliefParts, GapCountParts, OpenDwell, Recent, RecentSpan, StateKind};
@@ -9,7 +9,7 @@ use super::{Invalid, doubles};
 
 /// Bytes of a span.
 const SPAN: usize = 16;
-/// Doubles of a [`layout::Belief::numbers`], and of an octave of gaps.
+/// Number of doubles in [`layout::Belief::numbers`], and in an octave of gaps.
 const NUMBERS: usize = 11;
 const OCTAVE: usize = 7;
 
@@ -128,7 +128,7 @@ fn decode_octaves(bytes: &[u8]) -> Result<Vec<GapCountParts>, Invalid> {
         return Err("the gaps between the readings of a state do not have their length");
     }
     let octave = |&[octave, pairs, secs, low, rises, falls, high]: &[f64; OCTAVE]| GapCountParts {
-        // Checked by the model: what is no octave becomes one that is out of range, or 0.
+        // The model checks this: a number that is no octave becomes an octave that is out of range, or 0.
         octave: octave as u32,
         pairs: [pairs, secs],
         counts: [low, rises, falls, high],

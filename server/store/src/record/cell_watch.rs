@@ -1,4 +1,4 @@
-//! When the groups of a tile were observed, and which components of its changed cells are supported, as messages, and
+//! The observation times of the groups of a tile, and the supported components of its changed cells, as messages, and
 //! back.
 //!
 //! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
@@ -37,7 +37,7 @@ pub(super) fn decode_times(message: &layout::GroupTimes) -> Result<Arc<ObservedT
     }
     let gaps = GapSample::from_kept(message.gaps, &message.kept_secs).map_err(|_| TIMES)?;
     let by_hour = match message.by_hour.as_slice() {
-        // Earlier versions kept the number alone.
+        // Earlier versions stored only the number of hours.
         [] => ObservedTimes::spread(hours),
         known => {
             let (by_hour, rest) = known.as_chunks();

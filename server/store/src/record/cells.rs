@@ -46,7 +46,7 @@ pub(super) struct CellsOut {
 }
 
 impl CellsOut {
-    /// Appends a cell, as the number of cells between it and the one before.
+    /// Appends a cell, as the number of cells between it and the cell before.
     pub(super) fn push(&mut self, cell: u16) -> Result<(), Invalid> {
         let cell = u64::from(cell);
         let gap = cell.checked_sub(self.next).filter(|_| cell < TILE_CELLS as u64);
@@ -67,7 +67,7 @@ impl CellsIn<'_> {
         CellsIn { bytes, next: 0 }
     }
 
-    /// The next cell; `None` behind the last.
+    /// The next cell; `None` after the last.
     pub(super) fn take(&mut self) -> Result<Option<u16>, Invalid> {
         if self.bytes.is_empty() {
             return Ok(None);
@@ -79,7 +79,7 @@ impl CellsIn<'_> {
     }
 }
 
-/// The encoding of a cell by itself.
+/// Checks the number of a single cell.
 pub(super) fn place(cell: u32) -> Result<u16, Invalid> {
     u16::try_from(cell).ok().filter(|&cell| usize::from(cell) < TILE_CELLS).ok_or(CELL)
 }

@@ -1,7 +1,7 @@
 //! Columns of a batch of observations: states, times and values, each encoded by itself.
 //!
-//! This runs for every observation, so each column is one pass over a slice. Invariant: a column has as many items as
-//! its count, or a single one if all are equal.
+//! This code runs for every observation, so each column is one pass over a slice. Invariant: a column has as many items
+//! as its count, or a single item if all are equal.
 
 use tidemap_layout::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
 use tidemap_model::VALUE_MAX;
@@ -17,7 +17,7 @@ fn all_equal<T: PartialEq>(items: &[T]) -> bool {
     items.windows(2).all(|pair| pair[0] == pair[1])
 }
 
-/// Numbers as varints; a single one if all are equal.
+/// Encodes numbers as varints; a single varint if all are equal.
 pub(super) fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T) -> u64) -> Vec<u8> {
     let items = if all_equal(items) { &items[..items.len().min(1)] } else { items };
     let mut out = Vec::with_capacity(items.len() * 2 + 8);
@@ -27,7 +27,7 @@ pub(super) fn encode_numbers<T: Copy + PartialEq>(items: &[T], number: impl Fn(T
     out
 }
 
-/// Reads what [`encode_numbers`] wrote; the caller limits `count`.
+/// Reads the output of [`encode_numbers`]; the caller limits `count`.
 pub(super) fn decode_numbers<T: Copy>(
     mut bytes: &[u8],
     count: usize,
@@ -47,7 +47,7 @@ pub(super) fn decode_numbers<T: Copy>(
     if bytes.is_empty() { Ok(items) } else { Err(LENGTH) }
 }
 
-/// Numbers of states.
+/// Encodes the numbers of states.
 pub(super) fn encode_states<T: Copy + PartialEq>(states: &[T], number: impl Fn(T) -> u32) -> Vec<u8> {
     encode_numbers(states, |state| u64::from(number(state)))
 }
@@ -84,12 +84,12 @@ fn common_divisor(differences: &[i64]) -> u64 {
     divisor
 }
 
-/// The greatest common divisor; 1 if all are 0, or if it does not fit.
+/// The greatest common divisor; 1 if all are 0, or if the divisor does not fit.
 pub(super) fn unit(differences: &[i64]) -> i64 {
     i64::try_from(common_divisor(differences)).unwrap_or(1).max(1)
 }
 
-/// Times, which must not be negative, so that no difference overflows.
+/// Encodes times, which must not be negative, so that no difference overflows.
 pub(super) fn encode_times(nanos: &[i64]) -> Result<Times<Vec<u8>>, Invalid> {
     if nanos.iter().any(|&nanos| nanos < 0) {
         return Err("a time is before 1970");
@@ -101,7 +101,7 @@ pub(super) fn encode_times(nanos: &[i64]) -> Result<Times<Vec<u8>>, Invalid> {
     Ok(Times { first_nanos: nanos.first().copied().unwrap_or(0), unit_nanos, differences })
 }
 
-/// Times, with the lengths of the runs of equal differences where these make the column shorter.
+/// Encodes times, with the lengths of the runs of equal differences if these make the column shorter.
 pub(super) fn encode_times_in_runs(nanos: &[i64]) -> Result<(Times<Vec<u8>>, Vec<u8>), Invalid> {
     let times = encode_times(nanos)?;
     let differences: Vec<i64> = nanos.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -115,7 +115,7 @@ pub(super) fn encode_times_in_runs(nanos: &[i64]) -> Result<(Times<Vec<u8>>, Vec
     }
 }
 
-/// Reads what [`encode_times_in_runs`] wrote; the caller limits `count`.
+/// Reads the output of [`encode_times_in_runs`]; the caller limits `count`.
 pub(super) fn decode_times_in_runs(times: &Times<&Vec<u8>>, lengths: &[u8], count: usize) -> Result<Vec<i64>, Invalid> {
     if lengths.is_empty() {
         return decode_times(times, count);
@@ -157,18 +157,18 @@ fn is_value(value: &f64) -> bool {
     value.abs() <= VALUE_MAX || is_end(value)
 }
 
-/// Whether it is what a row has instead of a value, if its sensor knows none from then on.
+/// Whether the number is the mark that a row has instead of a value, if no value is known from then on.
 fn is_end(value: &f64) -> bool {
     value.to_bits() == f64::NAN.to_bits()
 }
 
-/// Values, in the smallest lossless encoding.
+/// Encodes values in the smallest lossless encoding.
 pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
     const ONE: u64 = 1.0_f64.to_bits();
     if !values.iter().all(is_value) {
         return Err(RANGE);
     }
-    // Compared by bits, because -0.0 equals 0.0.
+    // The values are compared by bits, because -0.0 equals 0.0.
     let is_same = values.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
     if values.iter().all(|value| matches!(value.to_bits(), 0 | ONE)) {
         let values = if is_same && values.len() > 8 { &values[..1] } else { values };
@@ -185,7 +185,8 @@ pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
     }
 }
 
-/// Values with their encoding, and the lengths of the runs of equal values where these make the column shorter.
+/// Encodes values. Returns the encoding, the values, and the lengths of the runs of equal values if these make the
+/// column shorter.
 pub(super) fn encode_values_in_runs(values: &[f64]) -> Result<(u32, Vec<u8>, Vec<u8>), Invalid> {
     let (encoding, column) = encode_values(values)?;
     let (firsts, lengths) = runs::encode(values, |a, b| a.to_bits() == b.to_bits());
@@ -197,7 +198,7 @@ pub(super) fn encode_values_in_runs(values: &[f64]) -> Result<(u32, Vec<u8>, Vec
     }
 }
 
-/// Reads what [`encode_values_in_runs`] wrote; the caller limits `count`.
+/// Reads the output of [`encode_values_in_runs`]; the caller limits `count`.
 pub(super) fn decode_values_in_runs(
     encoding: u32,
     bytes: &[u8],
@@ -238,7 +239,7 @@ fn decode_bits(bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {
     Ok(bytes.iter().flat_map(|&byte| (0..8).map(move |index| bit(byte, index))).take(count).collect())
 }
 
-/// Items of N bytes each; a single one if all are equal.
+/// Reads items of N bytes each; a single item if all are equal.
 fn fixed<const N: usize>(bytes: &[u8], count: usize, item: impl Fn([u8; N]) -> f64) -> Result<Vec<f64>, Invalid> {
     let (items, rest) = bytes.as_chunks::<N>();
     match items {

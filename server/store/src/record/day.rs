@@ -24,14 +24,15 @@ use super::{
     varint::{push_varint, take_u32, take_varint},
 };
 
-/// Bits of a tile: two per cell.
+/// Number of bits of a tile: two per cell.
 const BITS: usize = 2 * TILE_CELLS;
-/// Limit of scans of one day. Runs of equal scans take no space, so the payload's length does not limit them.
+/// Limit of the number of scans of one day. Runs of equal scans take no space, so the length of the payload does not
+/// limit this number.
 const SCANS_MAX: usize = 1 << 26;
 /// Limit of tiles in all presence runs of one day together.
 const SEEN_TILES_MAX: usize = 1 << 30;
 
-/// The day without its tiles; `tiles` records of tiles follow it.
+/// Encodes the day without its tiles; `tiles` tile records follow it.
 pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<layout::Day, Invalid> {
     const MANY: Invalid = "a day has more scans or tiles than can be numbered";
     let nanos: Vec<i64> = day.scans.iter().map(|scan| scan.utc_nanos).collect();
@@ -75,8 +76,8 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<layout::Day, Invalid
     })
 }
 
-/// The day without its tiles. All tiles are below `tiles_end`, and so below `limit`. `keep` selects the tiles that the
-/// runs of presence keep.
+/// Decodes the day without its tiles. All tiles are below `tiles_end`, and so below `limit`. `keep` selects the tiles
+/// that the runs of presence keep.
 pub(crate) fn decode(message: &layout::Day, limit: u32, keep: impl Fn(TileId) -> bool) -> Result<GridDay, Invalid> {
     let count = message.scans as usize;
     if count > SCANS_MAX {
@@ -121,7 +122,7 @@ pub(crate) fn decode(message: &layout::Day, limit: u32, keep: impl Fn(TileId) ->
     Ok(day)
 }
 
-/// One day's observations of a tile.
+/// Encodes the observations of a tile on one day.
 pub(crate) fn encode_tile(tile: &DayTile) -> Result<layout::DayTileScans, Invalid> {
     let key = |flip: &Flip| (flip.scan, flip.bit(), flip.cell());
     let is_ordered = tile.flips.is_sorted_by(|one, next| key(one) < key(next));
@@ -257,7 +258,7 @@ fn decode_in_order(mut bytes: &[u8], scans: u32) -> Result<Vec<Flip>, Invalid> {
     Ok(flips)
 }
 
-/// A scan whose time is in the future.
+/// Encodes a scan whose time is in the future.
 pub(crate) fn encode_ahead(scan: &FutureScan) -> layout::AheadScan {
     let mut bytes = Vec::with_capacity(scan.tiles.len() * 2 * MASK_LENGTH);
     for (_, masks) in &scan.tiles {
@@ -273,7 +274,7 @@ pub(crate) fn encode_ahead(scan: &FutureScan) -> layout::AheadScan {
     }
 }
 
-/// Decodes a scan; its tiles are below `limit`.
+/// Decodes a scan whose time is in the future; its tiles are below `limit`.
 pub(crate) fn decode_ahead(message: &layout::AheadScan, limit: u32) -> Result<FutureScan, Invalid> {
     let (sets, rest) = message.masks.as_chunks::<MASK_LENGTH>();
     let (pairs, odd) = sets.as_chunks::<2>();

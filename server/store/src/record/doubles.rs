@@ -11,13 +11,13 @@ pub(crate) fn push(out: &mut Vec<u8>, numbers: &[f64]) {
     }
 }
 
-/// Replaces `out` by the doubles of these bytes; an incomplete double at the end is ignored.
+/// Replaces the content of `out` by the doubles of these bytes; an incomplete double at the end is ignored.
 pub(crate) fn take(bytes: &[u8], out: &mut Vec<f64>) {
     out.clear();
     out.extend(bytes.as_chunks::<8>().0.iter().map(|&bytes| f64::from_le_bytes(bytes)));
 }
 
-/// Whether all are finite.
+/// Whether all doubles of these bytes are finite.
 pub(crate) fn are_finite(bytes: &[u8]) -> bool {
     let (numbers, rest) = bytes.as_chunks::<8>();
     rest.is_empty() && numbers.iter().fold(true, |all, &bytes| all & f64::from_le_bytes(bytes).is_finite())

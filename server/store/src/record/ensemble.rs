@@ -130,7 +130,7 @@ mod tests {
 
     use super::*;
 
-    /// An ensemble of a door that is open by day, seen every half-hour of some days.
+    /// An ensemble of a door that is open by day and observed in every half-hour of some days.
     fn ensemble(days: i64) -> Ensemble {
         let mut ensemble = Ensemble::new();
         for day in 0..days {

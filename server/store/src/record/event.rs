@@ -28,7 +28,8 @@ const ANGLE: u32 = 5;
 /// Kind of a new categorical state, which the map stores as a probability for each label.
 const CATEGORICAL: u32 = 6;
 
-/// Limit of observations in one event. Constant columns take no space, so the payload's length does not limit it.
+/// Limit of the number of observations in one event. Constant columns take no space, so the length of the payload does
+/// not limit this number.
 const COUNT_MAX: usize = 1 << 20;
 
 /// The kind and the payload of an event.
@@ -155,7 +156,7 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<layo
         content_crc: envelope.span.content_crc,
         received_nanos: envelope.received_nanos,
         new_states: event.new_states.iter().map(encode_new_state).collect(),
-        // Checked above against a much lower limit.
+        // The number is checked above against a much lower limit.
         count: event.states.len() as u32,
         states: columns::encode_states(&event.states, |state| state.0),
         first_time_nanos: times.first_nanos,
@@ -241,7 +242,7 @@ fn decode_new_state(state: &layout::NewState) -> Result<NewState, Invalid> {
         ANGLE => StateShape::Angle,
         kind => StateShape::Scalar(decode_kind(kind)?),
     };
-    // Axes are created with their vector or angle only.
+    // An axis is only created together with its vector or angle.
     if name.as_axis().or(name.as_angle_axis()).is_some() {
         return Err(NAME);
     }

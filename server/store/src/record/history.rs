@@ -14,10 +14,11 @@ use tidemap_model::Sample;
 
 use super::{Invalid, cells::place, columns, offsets};
 
-/// Limit of observations in one record. Constant columns take no space, so the payload's length does not limit it.
+/// Limit of the number of observations in one record. Constant columns take no space, so the length of the payload does
+/// not limit this number.
 pub(crate) const SAMPLES_MAX: usize = 1 << 20;
 
-/// One record. `origins`: those of `samples`.
+/// Encodes one record. `origins`: the origins of `samples`.
 pub(crate) fn encode_samples(
     state: StateId,
     samples: &[Sample],
@@ -95,7 +96,7 @@ pub(crate) fn decode_samples(message: &layout::StateSamples) -> Result<Vec<Sampl
     Ok(samples.map(|((utc_nanos, value), offset_secs)| Sample { utc_nanos, offset_secs, value }).collect())
 }
 
-/// Small models of a tile's cells.
+/// Encodes small models of the cells of a tile.
 pub(crate) fn encode_models(models: &[OutlierModel]) -> Result<Vec<u8>, Invalid> {
     let mut out = Vec::new();
     for model in models {

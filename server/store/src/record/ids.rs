@@ -1,4 +1,4 @@
-//! Names, kinds, producers and refusals, which several kinds of records contain.
+//! Names, kinds, producers and refusals, which occur in several kinds of records.
 //!
 //! Invariant: decoding gives the encoded value, and it has passed the constructors of the domain.
 
@@ -11,7 +11,7 @@ use tidemap_map::{
 
 use super::{Invalid, sensors};
 
-/// Differences of the sequence numbers, and reasons.
+/// Encodes refusals: the differences of the sequence numbers, and the reasons.
 pub(super) fn encode_refused(refused: &[(u64, RefusalReason)]) -> Result<(Vec<u64>, Vec<u32>), Invalid> {
     let mut previous = 0;
     let mut sequences = Vec::with_capacity(refused.len());
@@ -86,7 +86,7 @@ pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
     }
 }
 
-/// Kind of a state that is a label of a categorical one: a probability, whose name says so.
+/// Kind of a state that is a label of a categorical state: a probability whose name contains the label.
 const LABEL: u32 = 3;
 
 /// The kind of a state of a snapshot.

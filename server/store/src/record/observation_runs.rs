@@ -1,7 +1,7 @@
-//! When cells of a tile were observed that have no sums for it, as messages, and back.
+//! The observation times of those cells of a tile that have no sums for them, as messages, and back.
 //!
-//! Invariant: what is read has passed the constructor of the domain again, and is as large as its bytes, but for times
-//! at equal distances.
+//! Invariant: a value that is read has passed the constructor of the domain again, and is as large as its bytes, except
+//! for times at equal distances.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::{
     varint::{push_varint, take_u32, take_varint, unzigzag, zigzag},
 };
 
-/// No day has more scans.
+/// Limit of the number of scans of a day.
 const SCANS_MAX: u32 = 1 << 26;
 const INVALID: Invalid = "the runs in which cells were observed are not valid";
 
@@ -87,7 +87,7 @@ fn decode_day(message: &layout::SeenDay) -> Result<DayRuns, Invalid> {
 
 fn take_gaps(bytes: &mut &[u8]) -> Result<Vec<u32>, Invalid> {
     let count = take_u32(bytes)? as usize;
-    // Each takes a byte or more.
+    // Each number takes at least one byte.
     if count > bytes.len() {
         return Err(INVALID);
     }

@@ -1,4 +1,4 @@
-//! UTC offsets as runs of equal ones.
+//! UTC offsets as runs of equal offsets.
 //!
 //! Invariant: the lengths of the runs add up to the number of items, which limits the allocation.
 

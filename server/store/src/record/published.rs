@@ -1,4 +1,5 @@
-//! A state as readers need it, as a message, and back: without the sums it is made of, and with short hours.
+//! The data of a state that readers need, as a message, and back: without the sums from which it is computed, and with
+//! a short encoding of hours.
 //!
 //! Invariant: every number is read back bit by bit.
 
@@ -12,11 +13,11 @@ use super::{
     varint::{push_varint, take_varint},
 };
 
-/// The row of a state; what readers do not need of it is left out.
+/// The row of a state, without the data that readers do not need.
 pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
     let published =
         StateSnapshot { name: state.name.clone(), model: std::sync::Arc::new(state.model.published()), ..*state };
-    // There is no spectrum that could be unreadable.
+    // The published state has no spectrum, so no spectrum can be unreadable.
     let mut message = snapshot::encode_state(id, &published, published.model.accumulator().to_parts());
     let mut hours = Vec::new();
     if let Some(known) = &mut message.alternatives {
@@ -30,7 +31,7 @@ pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
     StateRow { state: Some(message), hours }
 }
 
-/// The state of a row, which must have number `id`.
+/// Decodes the state of a row, which must have the number `id`.
 pub(crate) fn decode(id: usize, row: StateRow, periodicities: &Periodicities) -> Result<StateSnapshot, String> {
     let mut message = row.state.ok_or("a row has no state")?;
     match &mut message.alternatives {

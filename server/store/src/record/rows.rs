@@ -1,6 +1,6 @@
-//! How the rows of a state come about, and what of them is known, as messages, and back.
+//! The reporting of a state and the stored data of its rows, as messages, and back.
 //!
-//! Invariant: a state whose rows are readings has no message. Durations are those of a state that can be.
+//! Invariant: a state whose rows are readings has no message. Durations that are read are valid for the state.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use super::Invalid;
 const CHANGES: u32 = 1;
 const EVENTS: u32 = 2;
 
-/// `None` of samples.
+/// The message; `None` for samples.
 pub(super) fn encode_reporting(reporting: Reporting) -> Option<layout::Reporting> {
     let (kind, hold) = match reporting {
         Reporting::Samples => return None,
@@ -27,7 +27,7 @@ pub(super) fn encode_reporting(reporting: Reporting) -> Option<layout::Reporting
     Some(layout::Reporting { kind, max_secs: hold.max_secs(), step_secs: hold.step_secs() })
 }
 
-/// What a state of this shape may have.
+/// The reporting of a message, which a state of this shape may have.
 pub(super) fn decode_reporting(message: Option<&layout::Reporting>, shape: StateShape) -> Result<Reporting, Invalid> {
     let Some(message) = message else { return Ok(Reporting::Samples) };
     let hold =
@@ -48,7 +48,7 @@ fn decode_row(message: layout::Row) -> Row {
     (message.nanos, message.value_bits.map(f64::from_bits))
 }
 
-/// `None` of a state of samples.
+/// The message of the rows of a state; `None` for a state that reports samples.
 pub(super) fn encode(model: &StateModel, newest: Option<NewestRow>) -> Option<layout::Rows> {
     let learned = model.learned_rows()?;
     Some(layout::Rows {
@@ -80,7 +80,7 @@ pub(super) fn decode_newest(message: Option<&layout::Rows>) -> Result<Option<New
     Ok(Some(NewestRow { nanos, has_value, is_live, producer: ProducerId(producer), events }))
 }
 
-/// The model with how it is reported.
+/// The model, with the reporting and the learned rows of the message.
 pub(super) fn decode(model: StateModel, message: Option<&layout::Rows>) -> Result<StateModel, Invalid> {
     let Some(rows) = message else { return Ok(model) };
     let reporting = decode_reporting(rows.reporting.as_ref(), StateShape::Scalar(model.kind()))?;

@@ -19,7 +19,7 @@ pub(super) fn encode<T: Copy>(items: &[T], is_equal: impl Fn(&T, &T) -> bool) ->
     (firsts, lengths)
 }
 
-/// The lengths of the runs of so many items.
+/// Decodes the lengths of runs that have `count` items together.
 pub(super) fn decode(mut bytes: &[u8], count: usize) -> Result<Vec<usize>, Invalid> {
     let (mut lengths, mut rest) = (Vec::new(), count);
     while !bytes.is_empty() {

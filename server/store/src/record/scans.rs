@@ -1,8 +1,8 @@
 //! Scans as a payload of the log, and back.
 //!
-//! This runs for every scan and every flip, so each column is one pass. Invariant: `decode(encode(scans)) == scans`, or
-//! `encode` refuses; what a payload makes `decode` allocate follows its length, but for sets of tiles, whose sizes have
-//! a bound of their own.
+//! This code runs for every scan and every flip, so each column is one pass. Invariant: `decode(encode(scans)) ==
+//! scans`, or `encode` refuses; the memory that `decode` allocates is bounded by the length of the payload, except for
+//! sets of tiles, whose sizes have their own bound.
 
 use std::{borrow::Cow, sync::Arc};
 
@@ -118,7 +118,7 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<layout::Scans
         content_crc: envelope.span.content_crc,
         received_nanos: envelope.received_nanos,
         new_tiles: encode_tiles(&event.new_tiles),
-        // Checked above.
+        // The number is checked above.
         count: scans.len() as u32,
         first_time_nanos: times.first_nanos,
         time_unit_nanos: times.unit_nanos,

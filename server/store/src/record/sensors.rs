@@ -1,7 +1,7 @@
 //! Sensors of producers and states, and the numbers of the sensors of scans, and back.
 //!
-//! Invariant: nothing is written if all scans are of the map's own sensor. Numbers fit into a byte; whether a map has
-//! such a sensor is checked elsewhere.
+//! Invariant: nothing is written if all scans are of the sensor of the map. Numbers fit into a byte; other code checks
+//! whether a map has such a sensor.
 
 use tidemap_grid::sensors::{ProducerSensor, SensorId};
 use tidemap_layout::map as layout;
@@ -58,7 +58,7 @@ pub(super) fn encode_runs(sensors: impl Iterator<Item = SensorId> + Clone) -> (V
     (counts, numbers)
 }
 
-/// One sensor per scan; empty if all are the map's own.
+/// One sensor per scan; `None` if all scans are of the sensor of the map.
 pub(super) fn decode_runs(counts: &[u32], numbers: &[u32], count: usize) -> Result<Option<Vec<SensorId>>, Invalid> {
     if counts.is_empty() && numbers.is_empty() {
         return Ok(None);

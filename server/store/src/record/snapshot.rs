@@ -20,7 +20,7 @@ use super::{
     rows, sensors, surprises, tables,
 };
 
-/// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
+/// The counters of a snapshot. The counts must fit; [`check`] checks that.
 pub(crate) fn encode(snapshot: &MapSnapshot) -> layout::Snapshot {
     layout::Snapshot {
         position: snapshot.position,
@@ -30,7 +30,7 @@ pub(crate) fn encode(snapshot: &MapSnapshot) -> layout::Snapshot {
         newest_nanos: snapshot.newest_nanos,
         producers: snapshot.producers.len() as u32,
         states: snapshot.states.len() as u32,
-        // The limits of the tables allow fewer than 32 bits can number.
+        // The limits of the tables allow fewer rows than 32 bits can count.
         table_rows: tables::count(&snapshot.site) as u32,
     }
 }
@@ -45,7 +45,7 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
     check_positions(&encode(snapshot))
 }
 
-/// Of the name of an axis: the name of the vector or angle, whether it is an angle, and the number of the axis.
+/// Splits the name of an axis: the name of the vector or angle, whether it is an angle, and the number of the axis.
 fn axis_of(state: &StateSnapshot) -> Option<(&str, bool, usize)> {
     let of_vector = state.name.as_axis().map(|(name, number)| (name, false, number));
     of_vector.or_else(|| state.name.as_angle_axis().map(|(name, number)| (name, true, number)))
@@ -75,8 +75,8 @@ fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Refuses categorical states with labels that are too few, too many or not in a row, or that are no probabilities, or
-/// with the same name as another state.
+/// Refuses categorical states with too few or too many labels, with labels that are not in a row or are not
+/// probabilities, or with the same name as another state.
 fn check_labels(states: &[StateSnapshot]) -> Result<(), Invalid> {
     let state_of = |label: &StateSnapshot| label.name.as_label().map(|(state, _)| state.to_owned());
     let mut known = HashSet::new();
@@ -95,7 +95,7 @@ fn check_labels(states: &[StateSnapshot]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Positions must let the replay start at a position that the log has.
+/// Checks the log positions: the replay must start at a position that exists in the log.
 pub(crate) fn check_positions(message: &layout::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
     if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
@@ -149,7 +149,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> layout::Producer 
     }
 }
 
-/// The producer that must have number `id`.
+/// Decodes the producer, which must have the number `id`.
 pub(crate) fn decode_producer(id: usize, message: &layout::Producer) -> Result<ProducerMark, Invalid> {
     if message.id as usize != id {
         return Err("a producer is missing or out of order");
@@ -250,16 +250,16 @@ fn decode_short(message: &layout::ShortRecord) -> Result<ShortRecord, String> {
     Ok(ShortRecord { readings: readings.iter().map(reading).collect(), batches: message.batches.clone() })
 }
 
-/// Whether the message of a state has its spectrum.
+/// The place of the message of a state, which decides whether the message contains the spectrum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SpectrumIn {
-    /// In a checkpoint.
+    /// The message is in a checkpoint and contains the spectrum.
     Checkpoint,
-    /// Not in the index, which holds what is published.
+    /// The message is in the index, which holds published data, and has no spectrum.
     Nowhere,
 }
 
-/// The state that must have number `id`.
+/// Decodes the state, which must have the number `id`.
 pub(crate) fn decode_state(
     id: usize,
     message: &layout::State,

@@ -49,7 +49,7 @@ pub fn encode_spec(spec: &MapSpec) -> Vec<u8> {
 /// The fixed properties of a map from [`encode_spec`].
 ///
 /// # Errors
-/// What is wrong with them.
+/// Returns a description of the fault if the bytes or the properties are not valid.
 pub fn decode_spec(bytes: &[u8]) -> Result<MapSpec, String> {
     decode(layout::MapSpec::decode(bytes).map_err(|error| error.to_string())?)
 }
@@ -144,12 +144,12 @@ fn encode_box(cells: &CellBox) -> layout::CellBox {
     layout::CellBox { min: corner(cells.min), max: corner(cells.max) }
 }
 
-/// What scans said to show; `None` for nothing.
+/// The cells that scans are pictures of; `None` if there are none.
 pub(crate) fn encode_shown(cells: &CellBox) -> Option<layout::CellBox> {
     (!cells.is_empty()).then(|| encode_box(cells))
 }
 
-/// What scans said to show, if they did.
+/// The cells that scans are pictures of; an empty box if no scan states them.
 pub(crate) fn decode_shown(message: Option<&layout::CellBox>) -> Result<CellBox, Invalid> {
     message.map_or(Ok(CellBox::default()), decode_box)
 }

@@ -1,7 +1,8 @@
-//! The tables of a site: what people and robots tell a map besides observations, as rows on the disk, and back.
+//! The tables of a site: data that people and robots enter besides observations, as rows on the disk, and back.
 //!
 //! A checkpoint, the index and a digest hold the rows of all tables one after another; the log holds edits, each of one
-//! table. They walk [`TABLES`] and name no table. Invariant: reading gives what was written, bit by bit.
+//! table. The code for them iterates over [`TABLES`] and names no single table. Invariant: written rows are read back
+//! bit by bit.
 
 use prost::Message;
 use tidemap_layout::site as layout;
@@ -18,29 +19,29 @@ mod reachability;
 pub(crate) mod tasks;
 pub(crate) mod topology;
 
-/// A table of a site. A new one gets an implementation in a file of its own, and a row in [`TABLES`].
+/// A table of a site. A new table gets an implementation in a file of its own, and a row in [`TABLES`].
 pub(crate) trait StoredTable {
     /// The number of the table on the disk, which is never given to another table.
     const NUMBER: u32;
-    /// A row.
+    /// A row of the table.
     type Row: Message + Default;
-    /// A change; `()` for a table that changes by observations alone.
+    /// A change of the table; `()` for a table that only observations change.
     type Edit: Message + Default;
 
-    /// How many rows the table of a site has.
+    /// The number of rows of this table of a site.
     fn count(site: &Site) -> usize;
 
-    /// These rows, in the order in which [`StoredTable::restore`] takes them.
+    /// The rows of this table of a site, in the order in which [`StoredTable::restore`] takes them.
     fn rows(site: &Site) -> impl Iterator<Item = Self::Row>;
 
-    /// The site with these rows, at least one. The tables before this one in [`TABLES`] are there already. `states`:
-    /// number of states of the map.
+    /// Adds these rows, at least one, to the site. The site already has the tables before this one in [`TABLES`].
+    /// `states`: number of states of the map.
     fn restore(site: Site, rows: Vec<Self::Row>, states: usize) -> Result<Site, String>;
 
-    /// A change of this table; `None` where an edit changes another one.
+    /// Encodes a change of this table; `None` if the edit changes another table.
     fn encode_edit(edit: &SiteEdit) -> Option<Self::Edit>;
 
-    /// A change from the log.
+    /// Decodes a change from the log.
     fn decode_edit(edit: Self::Edit) -> Result<SiteEdit, Invalid>;
 }
 
@@ -71,8 +72,8 @@ impl Table {
     }
 }
 
-/// All tables, ascending by number. Tables whose rows seldom change come first: a row that is added moves those after
-/// it.
+/// All tables, ascending by number. Tables whose rows seldom change come first, because an added row moves the rows
+/// after it.
 const TABLES: [Table; 8] = [
     Table::of::<charger::Charger>(),
     Table::of::<locations::Locations>(),
@@ -84,12 +85,12 @@ const TABLES: [Table; 8] = [
     Table::of::<landmarks::LandmarkPlaces>(),
 ];
 
-/// How many rows [`rows`] gives.
+/// The number of rows that [`rows`] returns.
 pub(crate) fn count(site: &Site) -> usize {
     TABLES.iter().map(|table| (table.count)(site)).sum()
 }
 
-/// The rows of all tables of a site; none for an empty one.
+/// The rows of all tables of a site; none for an empty site.
 pub(crate) fn rows(site: &Site) -> impl Iterator<Item = layout::TableRow> {
     TABLES.iter().flat_map(move |table| (table.rows)(site).map(|row| layout::TableRow { table: table.number, row }))
 }

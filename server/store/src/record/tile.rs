@@ -1,7 +1,6 @@
 //! The current state of tiles after the newest scans, as records, and back.
 //!
-//! Invariant: a tile that is written is in no run of equal scans; counts that are read can be added to without an
-//! overflow.
+//! Invariant: a tile that is written is in no run of equal scans; counts that are read can grow without an overflow.
 
 use tidemap_grid::{
     index::TileIndex,

@@ -30,7 +30,7 @@ use super::{
 /// Bytes of a component.
 const COMPONENT: usize = 20;
 const SIGHTINGS: Invalid = "the observation times of a tile differ in number from its groups or cells";
-/// Stands for the number of a shared sum that does not exist.
+/// The number in place of a shared sum that does not exist.
 const NO_SUM: u32 = u32::MAX;
 /// Flag in the number of changed cells: weighted sums follow.
 const HAS_WEIGHTED: u32 = 1 << 31;
@@ -109,7 +109,7 @@ pub(crate) fn decode(message: &layout::TileModel, periodicities: &Periodicities)
     Ok(TileModel { groups, always_occupied: decode_mask(&message.always_occupied)?, cells, sensors })
 }
 
-/// Weights of readings; empty if all are of the map's own sensor.
+/// Decodes the weights of readings; `None` if all readings are of the sensor of the map.
 fn decode_weights(message: &layout::TileModel) -> Result<Option<SensorWeights>, Invalid> {
     const PARTLY: Invalid = "the weights of readings are missing for some groups or cells of a tile, or are not finite";
     let parts = || {
@@ -129,7 +129,7 @@ fn decode_weights(message: &layout::TileModel) -> Result<Option<SensorWeights>, 
     }))
 }
 
-/// How far the groups have faded; empty without a half-life.
+/// Decodes the fading of the groups; empty without a half-life.
 fn decode_fades(message: &layout::TileModel) -> Result<Vec<GroupFade>, Invalid> {
     if message.groups.iter().all(|group| (group.weight_bits, group.day, group.sum_day) == (None, None, None)) {
         return Ok(Vec::new());
@@ -173,8 +173,8 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
     Component { periodicity, gamma_re: eight(4), gamma_im: eight(12) }
 }
 
-/// The sums of a tile as bytes: their number, the shared sums, the weighted ones, the sums of the changed cells, and
-/// when the cells were observed. `shared`: the numbers of its shared sums, in order.
+/// Encodes the sums of a tile as bytes: the number of sums, the shared sums, the weighted sums, the sums of the changed
+/// cells, and the observation times of the cells. `shared`: the numbers of the shared sums of the tile, in order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
     if shared.len() < sums.groups.len() {
         return Err("a shared sum has no number");
@@ -199,7 +199,7 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     Ok(())
 }
 
-/// The number of sums, and the numbers of the shared ones.
+/// Appends the number of sums, and the numbers of the shared sums.
 fn push_head(
     out: &mut Vec<u8>,
     shared: &[u32],
@@ -222,21 +222,21 @@ fn push_head(
 
 /// The sums of a tile as bytes.
 pub(crate) struct EncodedSums<'bytes> {
-    /// Numbers of its shared sums: one per group, then two per group that has weighted sums.
+    /// Numbers of the shared sums of the tile: one for each group, then two for each group that has weighted sums.
     pub(crate) shared: Vec<u32>,
     /// Number of groups.
     pub(crate) groups: usize,
     /// Whether each group has weighted sums; `None` if none has.
     weighted: Option<Vec<bool>>,
-    /// Sums of its changed cells.
+    /// Sums of the changed cells.
     cells: &'bytes [u8],
-    /// When its cells were observed.
+    /// Observation times of the cells.
     sightings: Sightings,
     /// The message of `sightings` as bytes, with its length before it.
     sightings_bytes: &'bytes [u8],
 }
 
-/// When the cells of a tile were observed, and what follows for the changed ones.
+/// The observation times of the cells of a tile, and the support and change alarm of each changed cell.
 struct Sightings {
     runs: ObservationRuns,
     times: Vec<Arc<ObservedTimes>>,
@@ -244,7 +244,7 @@ struct Sightings {
 }
 
 impl Sightings {
-    /// Of a tile with so many groups and changed cells.
+    /// Decodes the observation times of a tile with this number of groups and of changed cells.
     fn decode(bytes: &[u8], groups: usize, cells: usize) -> Result<Sightings, Invalid> {
         let message = layout::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
         if (message.times.len(), message.watches.len()) != (groups, cells) {
@@ -300,7 +300,7 @@ impl EncodedSums<'_> {
         self.cells.len() / (16 * periodicities.len()).max(1)
     }
 
-    /// Decodes the sums; `shared` are the shared ones.
+    /// Decodes the sums. `groups`: the shared sums, in the order of [`EncodedSums::shared`].
     pub(crate) fn decode(
         &self,
         mut groups: Vec<Arc<PhasorSum>>,
@@ -332,7 +332,7 @@ impl EncodedSums<'_> {
     }
 }
 
-/// A shared sum of these bytes.
+/// Decodes a shared sum.
 pub(crate) fn decode_shared(bytes: &[u8], periodicities: &Periodicities) -> Result<PhasorSum, String> {
     if !bytes.len().is_multiple_of(8) {
         return Err("a shared sum does not have its length".to_owned());

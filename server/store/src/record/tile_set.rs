@@ -1,6 +1,6 @@
-//! Sets of tiles, each as the tiles in which it differs from the set before, in ranges of ids.
+//! Sets of tiles. Each set is stored as the tiles in which it differs from the set before, in ranges of ids.
 //!
-//! A moving robot sees a few new tiles and loses a few; a standing robot sees the same tiles.
+//! Between two scans a moving robot gains and loses a few tiles; a standing robot observes the same tiles.
 //! Invariant: a set ascends and holds no tile twice; a set that is read holds only tiles below the limit given.
 
 use tidemap_grid::index::TileId;
@@ -10,7 +10,7 @@ use super::{
     varint::{push_varint, take_u32, take_varint},
 };
 
-/// Appends a set. Both must ascend.
+/// Appends a set. Both sets must ascend.
 pub(crate) fn push_set(out: &mut Vec<u8>, before: &[TileId], set: &[TileId]) -> Result<(), Invalid> {
     if !set.is_sorted_by(|one, next| one < next) {
         return Err("the tiles of a set do not ascend");
@@ -50,7 +50,7 @@ fn differences(mut one: &[TileId], mut other: &[TileId]) -> Vec<u32> {
     }
 }
 
-/// First and last of each run of numbers that follow each other.
+/// First and last number of each run of consecutive numbers.
 fn ranges(numbers: Vec<u32>) -> Vec<(u32, u32)> {
     let mut ranges: Vec<(u32, u32)> = Vec::new();
     for number in numbers {

@@ -1,4 +1,4 @@
-//! The models that were trained on a state's readings, except the calibrated one, as bytes, and back.
+//! The models that were trained on a state's readings, except the calibrated model, as bytes, and back.
 //!
 //! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
@@ -16,7 +16,7 @@ use super::Invalid;
 
 const INVALID: Invalid = "the trained models of a state are not valid";
 
-/// Empty if there is none.
+/// Encodes the models; empty if there is none.
 pub(crate) fn encode(records: &[TrainingRecordParts]) -> Vec<u8> {
     let mut message = layout::TrainedModels::default();
     for parts in records {
@@ -37,7 +37,7 @@ pub(crate) fn encode(records: &[TrainingRecordParts]) -> Vec<u8> {
     message.encode_to_vec()
 }
 
-/// The models of a state of a map with these periodicities.
+/// Decodes the models of a state of a map with these periodicities.
 pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<TrainingRecordParts>, Invalid> {
     let message = layout::TrainedModels::decode(bytes).map_err(|_| INVALID)?;
     let pergam = message.pergam.as_ref().map(decode_pergam);
@@ -130,7 +130,7 @@ fn encode_hypertime(
             (odds.method, message)
         }
         HypertimeParts::Continuous(field) => {
-            // A model of the value only, without a location.
+            // This is a model of the value only, without a location.
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
             let message = layout::Hypertime {
                 training,

@@ -5,21 +5,26 @@
 use super::{NumberEnsemble, RECALL_DAYS, UNSEEN, ahead::CLASSES};
 use crate::{InvalidParts, LocalDay};
 
-/// What a [`NumberEnsemble`] consists of, for storage. Every list has one length.
+/// The parts of a [`NumberEnsemble`], for storage. Every list has a fixed length, except the lists of days.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NumberEnsembleParts {
     /// The last learned day.
     pub last_day: Option<LocalDay>,
-    /// In turn: the origin; number, mean and squared deviations of all looks; 11 losses and their looks; by hour 24
-    /// sums and 24 numbers for each weekday from Monday, then of weekdays and of the weekend in each of three tables;
-    /// of two stacks 121 sums of squares, 11 of products, 11 weights; by hour of weekdays and of the weekend sum of
-    /// squares and number of errors; of five classes of the time ahead 49 sums of squares, 7 of products, 7 weights, 3
-    /// losses and their looks, sum of squares and number of errors, two times four means of tables; of 14 days, by
-    /// their numbers modulo 14, 48 values.
+    /// All numbers, in this order:
+    /// - the origin;
+    /// - number, mean and squared deviations of all half-hour bins;
+    /// - 11 losses and the number of bins of these losses;
+    /// - by hour 24 sums and 24 numbers, for each weekday from Monday, then for weekdays and for the weekend in each of
+    ///   three tables;
+    /// - for each of two stacks 121 sums of squares, 11 of products, 11 weights;
+    /// - by hour of weekdays, then of the weekend: sum of squares and number of errors;
+    /// - for each of five lead-time classes: 49 sums of squares, 7 of products, 7 weights, 3 losses and the number of
+    ///   bins of these losses, sum of squares and number of errors, two times four means of tables;
+    /// - for each of 14 days, at its number modulo 14, 48 values.
     pub numbers: Vec<f64>,
-    /// Of the 14 days: bits by half-hour.
+    /// One number for each of the 14 days: a bit for each half-hour, set if it has a reading.
     pub seen: Vec<u64>,
-    /// Of each class of the time ahead: the days of its last turns, the newer first; at most two.
+    /// The days of the last turns of each lead-time class, the newer first; at most two.
     pub kept_days: Vec<Vec<LocalDay>>,
 }
 

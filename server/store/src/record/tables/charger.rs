@@ -1,6 +1,6 @@
-//! The charger on the disk: one row, where it is set.
+//! The charger on the disk: one row, if the charger is set.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_layout::site as layout;
 use tidemap_map::site::{Site, SiteEdit};

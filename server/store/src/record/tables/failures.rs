@@ -1,6 +1,7 @@
-//! Failed traversals on the disk: one row with the newest, and in the log with the observations that they come with.
+//! Failed traversals on the disk: one row with the newest failures; in the log they are stored with the observations
+//! with which they arrive.
 //!
-//! Invariant: reading gives what was written.
+//! Invariant: written data is read back without a change.
 
 use tidemap_layout::site as layout;
 use tidemap_map::{

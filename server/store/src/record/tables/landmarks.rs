@@ -1,6 +1,6 @@
-//! Landmarks on the disk: a row for each node and edge that has any, in their order.
+//! Landmarks on the disk: a row for each node and edge that has landmarks, in the order of nodes and edges.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_layout::landmark as layout;
@@ -39,7 +39,7 @@ fn encode_pose(pose: &Isometry3<f64>) -> Vec<u64> {
 fn decode_pose(bits: &[u64]) -> Result<Isometry3<f64>, Invalid> {
     let bits: [u64; 7] = bits.try_into().map_err(|_| "a pose has not seven numbers")?;
     let [x, y, z, i, j, k, w] = bits.map(f64::from_bits);
-    // It was a unit quaternion, and would change by rounding.
+    // The stored quaternion is a unit quaternion. Normalising it again would change it by rounding.
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }

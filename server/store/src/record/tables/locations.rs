@@ -1,6 +1,6 @@
-//! The locations on the disk: a row for each, ascending by name.
+//! The locations on the disk: a row for each location, ascending by name.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_grid::index::CellIndex;
 use tidemap_layout::site as layout;

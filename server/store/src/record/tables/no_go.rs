@@ -1,6 +1,6 @@
-//! The no-go areas on the disk: a row for each, ascending by name.
+//! The no-go areas on the disk: a row for each area, ascending by name.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_layout::site as layout;
 use tidemap_map::{

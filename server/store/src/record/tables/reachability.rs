@@ -1,6 +1,6 @@
-//! How often robots have reached places, on the disk: one row, with the cells in which a place was tried.
+//! The attempts of robots to reach places, on the disk: one row, with the cells in which robots tried to reach a place.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_layout::site as layout;
 use tidemap_map::{

@@ -1,6 +1,6 @@
 //! Tasks, kept plans and reports of tasks on the disk: one row.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_layout::task as layout;
 use tidemap_map::{

@@ -1,6 +1,6 @@
 //! The topological map on the disk: one row.
 //!
-//! Invariant: reading gives what was written, bit by bit.
+//! Invariant: written data is read back bit by bit.
 
 use tidemap_layout::topology as layout;
 use tidemap_map::{
@@ -172,7 +172,7 @@ impl StoredTable for TopologicalMap {
     type Edit = layout::Edit;
 
     fn count(site: &Site) -> usize {
-        // One from which everything was removed has given numbers away.
+        // A topological map from which everything was removed has still used numbers, so it has a row.
         usize::from(**site.topology() != Topology::new())
     }
 
