@@ -327,7 +327,7 @@ impl Cluster {
         };
         match restored.await {
             Ok((id, true)) if id == inner.id => {
-                warn!(id, "the engine had lost what it knew of the cluster: it is there again");
+                warn!(id, "the engine had lost its data about the cluster: the data are restored");
             }
             Ok((id, _)) => {
                 warn!(
@@ -336,7 +336,7 @@ impl Cluster {
                     "the engine now serves a cluster of another identity or with another secret: restart this daemon"
                 );
             }
-            Err(error) => warn!(%error, "the engine has lost what it knew of the cluster"),
+            Err(error) => warn!(%error, "the engine has lost its data about the cluster"),
         }
     }
 

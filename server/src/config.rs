@@ -435,7 +435,7 @@ impl Settings {
             {
                 bail!(
                     "setting {key} is {address:?}, which is reachable from beyond this machine, without {missing}: {}. \
-                     {}, listen on 127.0.0.1, or say --allow-insecure-remote",
+                     {}, listen on 127.0.0.1, or set --allow-insecure-remote",
                     missing.consequence(),
                     missing.remedy()
                 );

@@ -67,7 +67,7 @@ fn server_line(EngineServer { name, version, syncs_always }: &EngineServer) -> S
     let syncs = match syncs_always {
         Some(true) => "writes to its disk before it acknowledges",
         Some(false) => "acknowledges before it writes to its disk",
-        None => "does not say when it writes to its disk",
+        None => "does not report when it writes to its disk",
     };
     format!("{name}: version {version}, {syncs}")
 }

@@ -51,7 +51,7 @@ pub fn shape_from_wire(
         Err(_) => return Err(InvalidField::new(kind_field, format!("{kind} is not known"))),
     };
     if dimensions != 0 {
-        let text = format!("{dimensions} coordinates of what is no vector: should be 0");
+        let text = format!("{dimensions} coordinates, but the state is not a vector: it must be 0");
         return Err(InvalidField::new(dimensions_field, text));
     }
     Ok(shape)

@@ -34,7 +34,7 @@
 //! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
 //! A new format freezes a copy of this one in `tidemap-migrations`, beside the step that leads to the new one.
 
-#![allow(missing_docs, reason = "fields whose name says it all")]
+#![allow(missing_docs, reason = "the names of the fields are sufficient")]
 
 pub mod cluster;
 pub mod ensemble;

@@ -69,7 +69,7 @@ pub(crate) enum TokenFileError {
     #[error("token file {}: {source}", .path.display())]
     Io { path: PathBuf, source: io::Error },
     #[error(
-        "token file {} has permissions {mode:o}: others can read or change it. Say chmod 600 {}",
+        "token file {} has permissions {mode:o}: others can read or change it. Run chmod 600 {}",
         .path.display(), .path.display()
     )]
     Open { path: PathBuf, mode: u32 },
@@ -201,7 +201,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
         let at = format!(", token {}", index + 1);
         let token = entry.check().map_err(|reason| invalid(at.clone(), reason))?;
         if tokens.iter().any(|other| other.id == token.id) {
-            return Err(invalid(at, "its id is taken by a token before"));
+            return Err(invalid(at, "an earlier token has the same id"));
         }
         tokens.push(token);
     }

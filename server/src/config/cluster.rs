@@ -224,7 +224,7 @@ impl ClusterSettings {
         ] {
             if !set.as_os_str().is_empty() && other.as_os_str().is_empty() {
                 let set = set.display().to_string();
-                bail!("setting cluster.{key} is {set:?}, and cluster.{missing} is not set: the engine asks for both");
+                bail!("setting cluster.{key} is {set:?}, and cluster.{missing} is not set: the engine requires both");
             }
         }
         Ok(())

@@ -468,7 +468,7 @@ impl Writer {
         if let Some(snapshot) = self.saves.take_unsaved().filter(may_save) {
             let span = checkpoint_span(&self.map.spec().name, &snapshot);
             if let Err(error) = self.context.store.save(self.id, &snapshot) {
-                span.fail("not saved: the log says why");
+                span.fail("not saved: the log has the reason");
                 warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
             }
         }

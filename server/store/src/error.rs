@@ -59,7 +59,7 @@ pub enum OpenError {
     /// A list of what must exist is missing or damaged, and it is not proven that all is there.
     #[error(
         "{} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost with it. Stop the \
-         daemon and run tidemapd check, which says what to do",
+         daemon and run tidemapd check, which shows what to do",
         shown(.file)
     )]
     ListLost { file: PathBuf, problem: String },
@@ -98,7 +98,7 @@ pub enum StoreError {
     /// A list of what must exist is missing or damaged; a new one would hide what is lost.
     #[error(
         "{} is lost: {problem}. Nothing is written that would hide what is lost. Stop the daemon and run tidemapd \
-         check, which says what to do",
+         check, which shows what to do",
         shown(.file)
     )]
     ListLost { file: PathBuf, problem: String },
@@ -271,8 +271,8 @@ impl fmt::Display for Repair {
             }
             Repair::CheckpointNotRead { file, reason } => write!(
                 f,
-                "did not use the checkpoint {}, which the disk does not give: {reason}. It may be sound and stays where \
-                 it is; an older one or the log is used",
+                "did not use the checkpoint {}, which cannot be read from the disk: {reason}. It may be sound and \
+                 stays where it is; an older one or the log is used",
                 shown(file)
             ),
             Repair::IndexSetAside { folder, reason } => {

@@ -41,8 +41,8 @@ pub(crate) enum NoRoom {
     )]
     TilesOfClient { client: String, max: usize },
     #[error(
-        "the states of this map that report changes or events would stand for more than {max} readings a day: report \
-         this one with a longer step (--hold-step)"
+        "the states of this map that report changes or events would mean more than {max} readings a day: report this \
+         one with a longer step (--hold-step)"
     )]
     Readings { max: u64 },
 }

@@ -70,8 +70,8 @@ pub(crate) enum HelloError {
     )]
     TooManyOfClient { client: String, max: usize },
     #[error(
-        "producer {:?} with label {:?} was forgotten, and begins anew: open the stream with incarnation 0. Its sequence \
-         goes on after what it has sent", key.producer(), key.label()
+        "producer {:?} with label {:?} was forgotten, and begins anew: open the stream with incarnation 0. Its \
+         sequence continues after what it has sent", key.producer(), key.label()
     )]
     Forgotten { key: ProducerKey },
     #[error(transparent)]

@@ -93,7 +93,7 @@ pub(super) struct Import {
 /// The reason why an import did not end by itself.
 #[derive(Debug, thiserror::Error)]
 enum Stopped {
-    #[error("the sender is gone")]
+    #[error("the sender has disconnected")]
     Left,
     #[error("the daemon is stopping; the same file again sends what is missing")]
     Stopping,
@@ -293,7 +293,7 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
     }
     if let Some(signal) = status.signal() {
         let text = if signal == Signal::XCPU.as_raw() {
-            "the file takes more time of the processor than an import of its size has here: use tidemap import"
+            "the file needs more processor time than an import of its size has here: use tidemap import"
                 .to_owned()
         } else {
             format!(
