@@ -203,7 +203,7 @@ async fn updates_that_were_asked_for_give_their_places_back() {
         let request = RunUpdateRequest { map: "office".to_owned(), until: None };
         match service.run_update(request).await {
             Ok(_) => asked += 1,
-            Err(refused) => check(&refused, &["one client has asked for"]),
+            Err(refused) => check(&refused, &["one client has requested"]),
         }
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;
     }

@@ -151,7 +151,7 @@ async fn a_stream_that_does_not_answer_is_told_why_it_ends() {
     assert_eq!((goodbye.reason(), goodbye.durable_sequence), (GoodbyeReason::Superseded, 1));
     let status = ended.error();
     assert_eq!(status.code(), Code::Aborted);
-    assert!(status.message().contains("did not answer"), "{status:?}");
+    assert!(status.message().contains("did not respond"), "{status:?}");
     new.batch(2, columns(&["door"], &[(0, 3_000, 0.0)])).await;
     new.acknowledged(2).await.expect("taken");
     // The new one announced nothing: who comes now has to wait for its end.
