@@ -70,7 +70,7 @@ pub(crate) struct Flags {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub http_write: bool,
     /// Listen on other addresses than this machine's without TLS or without tokens: everybody who reaches the port can
-    /// then read what is sent, or read, write and delete all maps.
+    /// then read the transmitted data, or read, write and delete all maps.
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub allow_insecure_remote: bool,

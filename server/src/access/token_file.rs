@@ -135,7 +135,7 @@ pub(super) fn generate(
     expires_secs: Option<i64>,
 ) -> io::Result<(Token, String)> {
     let mut random = [0; ID_BYTES + SECRET_BYTES];
-    SystemRandom::new().fill(&mut random).map_err(|_| io::Error::other("the system gives no random numbers"))?;
+    SystemRandom::new().fill(&mut random).map_err(|_| io::Error::other("the system provides no random numbers"))?;
     let id = hex(&random[..ID_BYTES]);
     let text = format!("{PREFIX}{id}_{}", hex(&random[ID_BYTES..]));
     Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, producers, note, created_secs, expires_secs }, text))

@@ -102,7 +102,7 @@ pub(crate) const EXAMPLE: &str = r#"
 # --- cluster: see the page Clusters of the guide ----------------------------------------------------------------------
 #
 # With this section the daemon is one of several that share the logs of their maps through NATS JetStream (nats-server
-# 2.15.1 or newer). All daemons of a cluster have the same section but for `member`, `advertise`, `capacity`, and the
+# 2.15.1 or newer). All daemons of a cluster have the same section except `member`, `advertise`, `capacity`, and the
 # certificate and the key for the engine. The environment may set `member`, `advertise` and `servers`
 # (TIDEMAP_CLUSTER_MEMBER and so on). `member` and `servers` must be set.
 

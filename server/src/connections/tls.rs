@@ -111,7 +111,8 @@ pub(crate) enum TlsError {
     NotForServers { path: PathBuf, why: NotForServers },
     #[error(
         "setting tls_certificate: the certificate in {} names no host: clients need the name or address that they \
-         connect to in its subject alternative names. Make a certificate with the daemon's names and addresses", .path.display()
+         connect to in its subject alternative names. Make a certificate with the daemon's names and addresses",
+        .path.display()
     )]
     NoNames { path: PathBuf },
     #[error(

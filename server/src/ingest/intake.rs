@@ -456,7 +456,7 @@ fn refuse(
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
         Some(_) if shares.is_some() => (RefusalReason::Value, shares.and_then(invalid_shares).unwrap_or_default()),
         Some(entry) if entry.is_label() => {
-            let text = format!("value {value} of a label is not 1: send only the label that applies, or a share of each");
+            let text = format!("value {value} of a label is not 1: send only the true label, or a share of each");
             (RefusalReason::Value, text)
         }
         Some(entry) => match position.and_then(|position| position.invalid_coordinate()) {

@@ -441,7 +441,7 @@ impl Writer {
             Ending::MapDeleted => "the map was deleted",
             Ending::Erasure => "something is erased from the map: start the update again",
             Ending::Forked { .. } => "the log of the map and the shared log differ",
-            Ending::Replaced => "a copy of another daemon's map takes the place of the map",
+            Ending::Replaced => "a copy of another daemon's map replaces the map",
             _ => "the daemon is stopping",
         };
         // Commands after the stop get a reply, but are not executed.

@@ -218,7 +218,7 @@ fn ending_text(ending: &Ending) -> String {
         Ending::MapDeleted => "the map was deleted".to_owned(),
         Ending::Moved { writer: None } => "another daemon writes the map; connect again".to_owned(),
         Ending::Moved { writer: Some(writer) } => format!("{writer} writes the map; connect again"),
-        Ending::Replaced => "a copy of another daemon's map takes the place of the map; connect again".to_owned(),
+        Ending::Replaced => "a copy of another daemon's map replaces the map; connect again".to_owned(),
         Ending::Forked { .. } => {
             "the log of the map and the one that daemons share differ: this daemon does not serve \
                                   the map; connect to another"

@@ -320,6 +320,6 @@ mod tests {
             let operation = if path["post"].is_object() { &path["post"] } else { &path["get"] };
             operation["description"].is_null()
         });
-        assert_eq!(without.count(), 0, "each method says what it does");
+        assert_eq!(without.count(), 0, "each method has a description");
     }
 }

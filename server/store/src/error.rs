@@ -198,7 +198,7 @@ pub enum EraseError {
     NotErasable(#[from] NotErasable),
     /// Nothing is changed, because scans cannot be taken out of a grid.
     #[error(
-        "{} scans of the grid, which cannot be taken out of it. Name a state: its observations can be erased. To erase \
+        "{} scans of the grid, which cannot be removed from it. Name a state: its observations can be erased. To erase \
          the grid, delete the map",
         producer.as_ref().map_or_else(|| "the map has".to_owned(), has_sent)
     )]

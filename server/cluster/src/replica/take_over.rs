@@ -213,7 +213,7 @@ impl<E: Engine> Driver<E> {
             })
             .await;
         let Some((written, synced, event)) = written else {
-            self.trouble(Some("this daemon's own log cannot be written: another one takes its place".to_owned()));
+            self.trouble(Some("this daemon's own log cannot be written: another daemon replaces it".to_owned()));
             self.let_others_write();
             return Ok(None);
         };

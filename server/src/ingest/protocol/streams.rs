@@ -66,7 +66,7 @@ pub(crate) enum HelloError {
     TooManyProducers { max: usize },
     #[error(
         "{client} has introduced {max} producer keys of the map, as many as setting max_producers_per_client allows. \
-         tidemap producer forget frees the places of those that will not come back"
+         tidemap producer forget frees the places of those that will not return"
     )]
     TooManyOfClient { client: String, max: usize },
     #[error(

@@ -38,7 +38,7 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
     Parameter {
         name: "object",
-        description: "Object whose presence at the nodes is predicted, by the states `node/N/OBJECT`. Default: the states N.",
+        description: "Object whose presence at the nodes is shown: the states `node/N/OBJECT`. Default: the states N.",
         example: "",
     },
 ];

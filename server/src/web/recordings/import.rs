@@ -248,7 +248,7 @@ fn limit(child: &Child, memory_bytes: u64, cpu_secs: u64) {
     ] {
         let limited = Rlimit { current: Some(current), maximum: Some(maximum) };
         if let Err(error) = prlimit(pid_raw, resource, limited) {
-            warn!(%error, what, "what an import takes is not limited");
+            warn!(%error, what, "the resources of an import are not limited");
         }
     }
     // If the system does not allow this, the daemon is in no worse state than without it.

@@ -59,7 +59,7 @@ pub(super) enum UploadError {
     #[error("nothing more of the file arrived for {secs} seconds: send it again")]
     Late { secs: u64 },
     #[error(
-        "the file arrives too slowly: it needs {kib_per_sec} KiB a second. Use tidemap import, which can go on later"
+        "the file arrives too slowly: it needs {kib_per_sec} KiB a second. Use tidemap import, which can continue later"
     )]
     Slow { kib_per_sec: u64 },
     #[error("the file has not arrived within {hours} hours: use tidemap import, or split the recording")]
