@@ -83,7 +83,7 @@ fn outcome_line(outcome: &RaceOutcome, seconds: u64) -> String {
     };
     format!(
         "{WRITERS} writers in {seconds} s: {acknowledged} appends acknowledged, {refused} refused, {unanswered} \
-         without an answer; {found}"
+         without a response; {found}"
     )
 }
 

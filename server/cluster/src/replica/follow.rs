@@ -87,8 +87,8 @@ impl<E: Engine> Driver<E> {
                 }
                 Ok(Relation::Forked { common }) => return Next::Forked(common),
                 Ok(Relation::Behind { from, .. }) => self.trouble(Some(format!(
-                    "the shared log begins behind position {from}, and this daemon's log ends at {}, or differs before: it \
-                     needs a copy of another daemon's",
+                    "the shared log begins behind position {from}, and this daemon's log ends at {}, or differs \
+                     before: it needs a copy from another daemon",
                     self.shared.log.end().position
                 ))),
                 Ok(Relation::Unknown { end }) => self.trouble(Some(format!(

@@ -293,8 +293,7 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
     }
     if let Some(signal) = status.signal() {
         let text = if signal == Signal::XCPU.as_raw() {
-            "the file needs more processor time than an import of its size has here: use tidemap import"
-                .to_owned()
+            "the file needs more processor time than an import of its size has here: use tidemap import".to_owned()
         } else {
             format!(
                 "the program that read the file was ended by signal {signal}: the file may need more memory than an \
