@@ -10,7 +10,7 @@ use tonic_types::StatusExt as _;
 
 /// Why a request failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum Error {
     #[error("{url:?} is not an address of a daemon: use HOST:PORT, http://HOST:PORT or https://HOST:PORT{hint}")]
     Address { url: String, hint: &'static str },

@@ -55,7 +55,7 @@ pub struct Refusal {
 
 /// Why a producer ended, or cannot do what the caller requested. Everything acknowledged before stays durable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum ProducerError {
     #[error("the producer was closed")]
     Closed,

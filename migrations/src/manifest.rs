@@ -55,7 +55,7 @@ pub enum ManifestError {
     },
     /// A newer version of tidemap wrote the directory.
     #[error(
-        "{} says disk format {found}, and this version knows formats up to {supported}: use a newer version of \
+        "{} has disk format {found}, and this version supports formats up to {supported}: use a newer version of \
          tidemapd. Nothing has been changed",
         .file.display()
     )]

@@ -22,7 +22,7 @@ use self::token_file::Token;
 pub(crate) enum Role {
     /// Sends observations, traversals and visits.
     Observer,
-    /// Asks for predictions, plans and routes.
+    /// Requests predictions, plans and routes.
     Planner,
     /// Runs updates, and edits topologies, locations and chargers.
     Operator,

@@ -31,7 +31,10 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 /// The reason why a folder cannot be used for a backup.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TargetError {
-    #[error("{path:?} is not below {}, where backups of this daemon go: name a folder such as \"by-hand\"", .folder.display())]
+    #[error(
+        "{path:?} is not below {}, where backups of this daemon are written: name a folder such as \"by-hand\"",
+        .folder.display()
+    )]
     Outside { path: String, folder: PathBuf },
     #[error(
         "it must be the absolute path of a folder on the daemon's machine, or setting backup_dir must name the folder that \

@@ -84,7 +84,7 @@ pub(crate) enum CatalogError {
     #[error(transparent)]
     Copy(#[from] CopyError),
     /// A map that was to be replaced by a copy no longer needs one.
-    #[error("map {0} needs no copy of another daemon's any more")]
+    #[error("map {0} no longer needs a copy from another daemon")]
     NoCopyNeeded(MapName),
     #[error("map {0} belongs to a cluster: start the daemon with its section [cluster]")]
     NoCluster(MapName),

@@ -141,7 +141,7 @@ async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Co
     check(&engine, settings.require_synced_engine).await?;
     engine.create_buckets(settings.engine_replicas).await?;
     let id = catalogue::cluster_id(&engine, proposed).await?;
-    let random = random_id().map_err(|_| EngineError::Refused("the system gives no random numbers".to_owned()))?;
+    let random = random_id().map_err(|_| EngineError::Refused("the system provides no random numbers".to_owned()))?;
     let secret = catalogue::cluster_secret(&engine, &random).await?;
     let before = membership::last_report(&engine, &settings.member).await?;
     Ok((engine, id, PeerSecret::new(secret), before.unwrap_or_default().logs))
@@ -286,7 +286,7 @@ impl Cluster {
         }
         let random = random_id().unwrap_or_default();
         let uid = u64::from_str_radix(random.get(..16).unwrap_or_default(), 16)
-            .map_err(|_| EngineError::Refused("the system gives no random numbers".to_owned()))?;
+            .map_err(|_| EngineError::Refused("the system provides no random numbers".to_owned()))?;
         engine.create_stream(&catalogue::stream(uid), self.0.settings.engine_replicas).await?;
         match catalogue::add(engine, name, &ClusterMap::new(uid, &encode_spec(spec))).await {
             Ok(_) => Ok(uid),
@@ -327,7 +327,7 @@ impl Cluster {
         };
         match restored.await {
             Ok((id, true)) if id == inner.id => {
-                warn!(id, "the engine had lost what it knew of the cluster: it is there again");
+                warn!(id, "the engine had lost its data about the cluster: the data are restored");
             }
             Ok((id, _)) => {
                 warn!(
@@ -336,7 +336,7 @@ impl Cluster {
                     "the engine now serves a cluster of another identity or with another secret: restart this daemon"
                 );
             }
-            Err(error) => warn!(%error, "the engine has lost what it knew of the cluster"),
+            Err(error) => warn!(%error, "the engine has lost its data about the cluster"),
         }
     }
 

@@ -34,7 +34,7 @@ pub(crate) use protection::is_local;
 #[derive(Debug, Default, Parser, Serialize)]
 #[command(name = "tidemapd", version = telemetry::VERSION)]
 pub(crate) struct Flags {
-    /// What to do instead of serving.
+    /// Command to run instead of serving.
     #[command(subcommand)]
     #[serde(skip)]
     pub command: Option<OfflineCommand>,
@@ -46,7 +46,7 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "DIR")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
-    /// The id that the data folder must have; the daemon refuses another folder, and an empty one [default: none, any
+    /// Identity that the data folder must have; the daemon refuses another folder, and an empty one [default: none, any
     /// folder].
     #[arg(long, value_name = "ID")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -70,7 +70,7 @@ pub(crate) struct Flags {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub http_write: bool,
     /// Listen on other addresses than this machine's without TLS or without tokens: everybody who reaches the port can
-    /// then read what is sent, or read, write and delete all maps.
+    /// then read the transmitted data, or read, write and delete all maps.
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub allow_insecure_remote: bool,
@@ -139,7 +139,7 @@ settings! {
         /// Folder of all data. One daemon at a time; a second one refuses to start. The systemd unit sets it to
         /// /var/lib/tidemap.
         data_dir: PathBuf = PathBuf::from("./tidemap-data");
-        /// The id that the data folder must have: the daemon refuses to start on another folder, and on an empty one,
+        /// Identity that the data folder must have: the daemon refuses to start on another folder, and on an empty one,
         /// such as the place of a disk that is not mounted. Empty: any folder. The daemon writes the id of a new folder
         /// to its log; tidemapd check prints it.
         expect_store_id: String = String::new();
@@ -151,7 +151,7 @@ settings! {
         /// Address of the HTTP port: the page, JSON, health and metrics.
         http_listen: String = "127.0.0.1:7436".to_owned();
         /// Host names by which browsers may reach the HTTP port where no tokens are configured, besides localhost and
-        /// addresses, so that pages of others cannot ask it (DNS rebinding).
+        /// addresses, so that pages of other origins cannot send requests to it (DNS rebinding).
         http_hosts: Vec<String> = Vec::new();
         /// Let everybody who reaches the HTTP port change data, where no tokens are configured. Without it, the port is
         /// for reading.
@@ -159,7 +159,8 @@ settings! {
         /// A Unix socket on which gRPC is served as well, for clients of this machine (tidemap --server unix:PATH);
         /// empty: none.
         socket: PathBuf = PathBuf::new();
-        /// Permissions of the Unix socket. Who may write to it may connect; 0o660 lets the daemon's group connect.
+        /// Permissions of the Unix socket. Every user who may write to it may connect; 0o660 lets the daemon's group
+        /// connect.
         socket_mode: u32 = 0o600, 0, 0o777;
     }
     "security: see the page Security of the guide" {
@@ -168,8 +169,8 @@ settings! {
         tls_certificate: PathBuf = PathBuf::new();
         /// The private key of the certificate, in PEM form, without a password. It is read again when it changes.
         tls_key: PathBuf = PathBuf::new();
-        /// Authorities of clients, in PEM form. If named, each client of the gRPC port must present a certificate of
-        /// one of them.
+        /// Authorities of clients, in PEM form. If set, each client of the gRPC port must present a certificate of one
+        /// of them.
         tls_client_ca: PathBuf = PathBuf::new();
         /// The file of the tokens that clients must have, as `tidemapd token` writes it; empty: everybody who reaches
         /// the port may do everything. It is read again when it changes. The daemon must own the file, and nobody else
@@ -179,135 +180,143 @@ settings! {
         allow_insecure_remote: bool = false;
     }
     "log, on stderr" {
-        /// "text" for people, "json" for one object a line.
+        /// Format of the log: "text" for people, "json" for one object a line.
         log_format: LogFormat = LogFormat::Text;
-        /// error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
+        /// Filter of the log: error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
         log_level: String = "info".to_owned();
     }
     "metrics: see the page Alerts of the guide" {
-        /// Producers whose silence is a metric of its own: those that were heard within 7 days and are silent for
-        /// longest, all maps together; 0: none.
+        /// Maximum number of producers whose silence is a metric of its own, all maps together: of those that sent
+        /// within 7 days, the ones that are silent for longest; 0: none.
         metrics_max_producers: usize = 100, 0, 10_000;
     }
     "traces: see the page Traces of the guide" {
-        /// Where spans of requests, updates, erasures, checkpoints and commits of the log go: a collector of
-        /// OpenTelemetry that takes OTLP over gRPC without TLS, as http://HOST:PORT; empty: no spans are made. It needs
-        /// not be there: what it does not take is dropped and counted.
+        /// Receiver of the spans of requests, updates, erasures, checkpoints and commits of the log: a collector of
+        /// OpenTelemetry that accepts OTLP over gRPC without TLS, as http://HOST:PORT; empty: no spans are made. The
+        /// daemon also works while the collector is not reachable: spans that it does not accept are dropped and
+        /// counted.
         otlp_endpoint: String = String::new();
-        /// Share of traces that are recorded, 0 to 1. A request that brings a trace context (the header traceparent) is
-        /// recorded if its context says so.
+        /// Share of traces that are recorded, 0 to 1. A request with a trace context (the header traceparent) is
+        /// recorded if its context requires it.
         trace_ratio: f64 = 1.0;
     }
-    "limits: the maximum of each" {
-        /// Maps.
+    "limits" {
+        /// Maximum number of maps.
         max_maps: usize = 256, 1, 10_000;
-        /// States of a map. A state takes 4 to 7 KB of memory while it is served, and two to three times as much while
-        /// an update runs.
+        /// Maximum number of states of a map. A state takes 4 to 7 KB of memory while it is served, and two to three
+        /// times as much while an update runs.
         max_states_per_map: usize = 100_000, 1, 16_000_000;
-        /// Tiles of the occupancy grid of a map: 8x8x8 cells each, 8x8 in a flat grid.
+        /// Maximum number of tiles of the occupancy grid of a map: 8x8x8 cells each, 8x8 in a flat grid.
         max_tiles_per_map: usize = 200_000, 1, 8_000_000;
-        /// Producer keys (producer and label) of a map.
+        /// Maximum number of producer keys (producer and label) of a map.
         max_producers_per_map: usize = 10_000, 1, 1_000_000;
-        /// Producer keys of a map that one client has introduced: the holder of a token, or an address without one, but
-        /// for this machine's.
+        /// Maximum number of producer keys of a map that one client has introduced: the holder of a token, or an
+        /// address without one, except this machine's addresses.
         max_producers_per_client: usize = 5_000, 1, 1_000_000;
-        /// Observations of one message.
+        /// Maximum number of observations of one message.
         max_batch_observations: usize = 4096, 1, 65_536;
-        /// Scans of one message.
+        /// Maximum number of scans of one message.
         max_batch_scans: usize = 1024, 1, 65_536;
-        /// Points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per point.
+        /// Maximum number of points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per
+        /// point.
         max_scan_points: usize = 1_000_000, 1, 100_000_000;
-        /// Tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350 bytes.
+        /// Maximum number of tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350
+        /// bytes.
         max_scan_tiles: usize = 65_536, 1, 100_000;
-        /// Size of one message, in bytes.
+        /// Maximum size of one message, in bytes.
         max_message_bytes: usize = 1 << 20, 4096, 16 << 20;
-        /// Bytes that one stream has sent and that are not durable yet. A faster robot waits.
+        /// Maximum number of bytes that one stream has sent and that are not durable yet. A faster robot waits.
         max_stream_buffer_bytes: usize = 1 << 20, 4096, 1 << 30;
-        /// Bytes that all streams have sent and that are not durable yet. From max_stream_buffer_bytes to 4294967296.
+        /// Maximum number of bytes that all streams have sent and that are not durable yet. From
+        /// max_stream_buffer_bytes to 4294967296.
         max_buffer_bytes: usize = 64 << 20;
-        /// Bytes of the tables of tiles and unfinished scans of all streams.
+        /// Maximum number of bytes of the tables of tiles and unfinished scans of all streams.
         max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
-        /// Connections of the gRPC port. Beyond that, one that makes no requests makes room; if all are busy, the new
-        /// one is closed.
+        /// Maximum number of connections of the gRPC port. Beyond that, one that makes no requests makes room; if all
+        /// are busy, the new one is closed.
         max_connections: usize = 4096, 8, 1_000_000;
-        /// Connections of one client address.
+        /// Maximum number of connections of one client address.
         max_connections_per_client: usize = 2048, 1, 1_000_000;
-        /// Requests under way, besides streams of observations and watches of anomalies.
+        /// Maximum number of requests under way, besides streams of observations and watches of anomalies.
         max_requests: usize = 384, 1, 100_000;
-        /// Requests under way of one client: the holder of a token, or an address without one.
+        /// Maximum number of requests under way of one client: the holder of a token, or an address without one.
         max_requests_per_client: usize = 128, 1, 100_000;
-        /// Open streams of observations. Beyond that, the one that was silent for longest makes room, if it was silent
-        /// for stream_idle_secs and all that it sent is acknowledged; else the new one is refused.
+        /// Maximum number of open streams of observations. Beyond that, the one that was silent for longest makes room,
+        /// if it was silent for stream_idle_secs and all that it sent is acknowledged; else the new one is refused.
         max_streams: usize = 1024, 1, 100_000;
-        /// Open streams of observations of one client: the holder of a token, or an address without one, but for this
-        /// machine's. Raise it where a whole fleet has one token or one address.
+        /// Maximum number of open streams of observations of one client: the holder of a token, or an address without
+        /// one, except this machine's addresses. Raise it where a whole fleet has one token or one address.
         max_streams_per_client: usize = 512, 1, 100_000;
-        /// How long a stream of observations was silent before it may make room for another, in seconds. While there is
-        /// room, no stream has to end.
+        /// Time for which a stream of observations must be silent before it may make room for another, in seconds.
+        /// While there is room, no stream has to end.
         stream_idle_secs: u64 = 60, 1, 31_536_000;
-        /// Observations of a map that wait for the nightly update. Above this an update runs early; above twice this,
-        /// including those of a running update, streams wait. An observation takes 24 to 48 bytes of memory.
-        max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
-        /// Changes of the grid of a map that wait for the nightly update: scans, and cells that differ from the scan
-        /// before. Above this an update runs early; above twice this, streams wait. A change takes 8 to 16 bytes of
+        /// Maximum number of observations of a map that wait for the nightly update. Above this an update runs early;
+        /// above twice this, including those of a running update, streams wait. An observation takes 24 to 48 bytes of
         /// memory.
+        max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
+        /// Maximum number of changes of the grid of a map that wait for the nightly update: scans, and cells that
+        /// differ from the scan before. Above this an update runs early; above twice this, streams wait. A change takes
+        /// 8 to 16 bytes of memory.
         max_pending_changes: u64 = 16_000_000, 1000, 1 << 32;
         /// Update each map at its local midnight. Without it, a map is updated on request (tidemap update), at the
         /// midnights of imported data, and when too much is pending.
         update_at_midnight: bool = true;
-        /// Predictions (states x times) of one request.
+        /// Maximum number of predictions (states x times) of one request.
         max_predictions: u64 = 10_000_000, 1, 1 << 40;
-        /// Models that are trained on request and cached, all maps together, and that evaluations hold at once (each
-        /// holds those of one state). A model takes 100 bytes to 10 KB, a histogram 16 bytes per bin.
+        /// Maximum number of models that are trained on request and cached, all maps together, and that evaluations
+        /// hold at once (each holds those of one state). A model takes 100 bytes to 10 KB, a histogram 16 bytes per
+        /// bin.
         max_trained_models: usize = 4000, 1, 1_000_000;
-        /// Observations that one model is trained on. The training takes some 100 bytes for each while it runs.
+        /// Maximum number of observations that one model is trained on. The training takes some 100 bytes for each
+        /// while it runs.
         max_training_readings: u64 = 2_000_000, 1, 1 << 32;
-        /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
-        /// models of the previous generation.
+        /// Maximum number of open watches of anomalies. A watched map keeps what its watchers have not read yet, at
+        /// most 5 MB, and the models of the previous generation.
         max_watches: usize = 64, 1, 100_000;
-        /// Open watches of anomalies of one client: the holder of a token, or an address without one, but for this
-        /// machine's.
+        /// Maximum number of open watches of anomalies of one client: the holder of a token, or an address without one,
+        /// except this machine's addresses.
         max_watches_per_client: usize = 16, 1, 100_000;
-        /// Size of one recording that is sent to the HTTP port, to be imported, in bytes; 0: none is taken. It lies in
-        /// the data folder until it is imported.
+        /// Maximum size of one recording that is sent to the HTTP port, to be imported, in bytes; 0: none is accepted.
+        /// It is in the data folder until it is imported.
         max_upload_bytes: u64 = 4 << 30, 0, 1 << 44;
-        /// Grid cells of one plan of exploration. A cell takes about 20 bytes while the plan is made.
+        /// Maximum number of grid cells of one plan of exploration. A cell takes about 20 bytes while the plan is made.
         max_plan_cells: u64 = 1 << 24, 1, 1 << 32;
-        /// Work of views in one request: viewpoints x times x cells that the rays of one view pass (about 400,000 for a
-        /// view of 4 m with cells of 0.1 m).
+        /// Maximum work of views in one request: viewpoints x times x cells that the rays of one view pass (about
+        /// 400,000 for a view of 4 m with cells of 0.1 m).
         max_view_work: u64 = 200_000_000_000, 1, 1 << 60;
     }
     "work and storage" {
-        /// Threads of updates, all maps together; 0: half the processors, at least one.
+        /// Number of threads of updates, all maps together; 0: half the processors, at least one.
         update_threads: usize = 0, 0, 1024;
         /// Vector instructions of the models: "best" of this processor, or scalar, neon, avx2, avx512, to find a fault.
-        /// All give equal results.
+        /// All produce equal results.
         instruction_set: String = instructions::BEST.to_owned();
         /// Size at which a log segment is closed and the next one begun, in bytes.
         segment_bytes: u64 = 64 << 20, 1 << 16, 1 << 32;
-        /// Cache of the index of models, in bytes.
+        /// Size of the cache of the index of models, in bytes.
         index_cache_bytes: u64 = 64 << 20, 1 << 20, 1 << 36;
-        /// Checkpoints that are kept of each map.
+        /// Number of checkpoints that are kept of each map.
         checkpoints_kept: usize = 2, 1, 100;
         /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
         tile_cache_bytes: u64 = 1 << 30, 1 << 20, 1 << 44;
         /// Memory for the sums of a map's states, in bytes. Other sums are read from the newest checkpoint by the next
         /// update.
         spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
-        /// How fast the data folder is read again in the background, to find damage early, in bytes a second; 0: never.
+        /// Rate at which the data folder is read again in the background, to find damage early, in bytes a second; 0:
+        /// never.
         scrub_bytes_per_sec: u64 = 4 << 20, 0, 1 << 40;
         /// Pause between two such rounds, and before the first, in seconds.
         scrub_every_secs: u64 = 21_600, 1, 31_536_000;
     }
     "backups: see the page Backup and restore of the guide" {
         /// The folder of backups, as an absolute path, best on another disk. Requests for a backup (tidemap backup
-        /// create) write below it and nowhere else. Empty: only programs of this machine may ask for a backup, into any
+        /// create) write below it and nowhere else. Empty: only programs of this machine may request a backup, into any
         /// folder, and only while there is no tokens_file.
         backup_dir: PathBuf = PathBuf::new();
-        /// Time from one scheduled backup to the next, in seconds (86400 is a day); 0: none is scheduled. It needs
+        /// Time from one scheduled backup to the next, in seconds (86400 is a day); 0: none is scheduled. It requires
         /// backup_dir.
         backup_every_secs: u64 = 0, 0, 31_536_000;
-        /// Scheduled backups that are kept. Older ones are removed when a new one is complete.
+        /// Number of scheduled backups that are kept. Older ones are removed when a new one is complete.
         backups_kept: usize = 7, 1, 10_000;
     }
 }
@@ -435,7 +444,7 @@ impl Settings {
             {
                 bail!(
                     "setting {key} is {address:?}, which is reachable from beyond this machine, without {missing}: {}. \
-                     {}, listen on 127.0.0.1, or say --allow-insecure-remote",
+                     {}, listen on 127.0.0.1, or set --allow-insecure-remote",
                     missing.consequence(),
                     missing.remedy()
                 );

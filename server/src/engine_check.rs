@@ -67,7 +67,7 @@ fn server_line(EngineServer { name, version, syncs_always }: &EngineServer) -> S
     let syncs = match syncs_always {
         Some(true) => "writes to its disk before it acknowledges",
         Some(false) => "acknowledges before it writes to its disk",
-        None => "does not say when it writes to its disk",
+        None => "does not report when it writes to its disk",
     };
     format!("{name}: version {version}, {syncs}")
 }
@@ -83,7 +83,7 @@ fn outcome_line(outcome: &RaceOutcome, seconds: u64) -> String {
     };
     format!(
         "{WRITERS} writers in {seconds} s: {acknowledged} appends acknowledged, {refused} refused, {unanswered} \
-         without an answer; {found}"
+         without a response; {found}"
     )
 }
 

@@ -38,7 +38,7 @@ mod shared_text;
 
 use shared_text::SharedText;
 
-const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
+const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  the requests as JSON\n/healthz  the process runs\n/readyz   requests are served\n/metrics  Prometheus\n";
 
 /// Maximum number of problems of the storage that are listed one by one.
 const TROUBLE_SHOWN: usize = 20;

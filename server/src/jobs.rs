@@ -205,7 +205,7 @@ impl UpdateJob {
         match &result {
             Ok(Some((generation, _))) => self.span.number("tidemap.generation", *generation),
             Ok(None) => {}
-            Err(_) => self.span.fail("the job failed: `tidemap job list` and the log say why"),
+            Err(_) => self.span.fail("the job failed: `tidemap job list` and the log have the reason"),
         }
         let status = self.status();
         self.span.number("tidemap.states", status.states_total);

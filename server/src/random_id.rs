@@ -5,6 +5,6 @@
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
 pub(crate) fn random_id() -> anyhow::Result<String> {
     let random = ring::rand::generate::<[u8; 16]>(&ring::rand::SystemRandom::new());
-    let bytes = random.map_err(|_| anyhow::anyhow!("the system gives no random numbers"))?.expose();
+    let bytes = random.map_err(|_| anyhow::anyhow!("the system provides no random numbers"))?.expose();
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }

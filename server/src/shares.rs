@@ -228,8 +228,8 @@ impl Shares {
                 bounds(LARGE_REQUESTS_BYTES, ["bytes of large requests", "bytes of large requests of one client"])
             }
             Share::Hellos => self.of_streams([
-                "setting max_streams, here for streams that have not said hello",
-                "setting max_streams_per_client, here for streams that have not said hello",
+                "setting max_streams, here for streams that have not sent hello",
+                "setting max_streams_per_client, here for streams that have not sent hello",
             ]),
             Share::Streams => self.of_streams(["setting max_streams", "setting max_streams_per_client"]),
             Share::TableBytes => self.of_tables(),
@@ -252,8 +252,8 @@ impl Shares {
                 ..bounds(
                     UPDATES,
                     [
-                        "updates that were asked for and have not ended",
-                        "updates that one client has asked for and that have not ended",
+                        "updates that were requested and have not ended",
+                        "updates that one client has requested and that have not ended",
                     ],
                 )
             },

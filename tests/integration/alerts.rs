@@ -214,7 +214,7 @@ async fn a_robot_that_is_silent_is_named_to_those_who_may_list_it() {
         let lines = text.lines().filter_map(|line| line.strip_prefix(SILENT)?.strip_prefix("{map=\"lab\",producer=\""));
         lines.filter_map(|rest| Some(rest.split_once("\"} ")?.0.to_owned())).collect()
     };
-    assert_eq!(named(&metrics(&daemon.http, &[])), Vec::<String>::new(), "nobody was heard");
+    assert_eq!(named(&metrics(&daemon.http, &[])), Vec::<String>::new(), "no producer has sent anything");
     // The first producer is silent for longest; producers beyond the setting are not reported.
     for producer in ["robot-1", "robot \"2\"", "robot-3"] {
         let (mut stream, _) = RawStream::open(&daemon.grpc, hello(producer, "lab")).await.expect("a Welcome");
@@ -231,7 +231,7 @@ async fn a_robot_that_is_silent_is_named_to_those_who_may_list_it() {
     assert!(!metrics(&daemon.http, &[]).contains(SILENT));
     assert!(!metrics(&daemon.http, &[("authorization", &bearer(&of_one))]).contains(SILENT));
     let text = metrics(&daemon.http, &[("authorization", &bearer(&all))]);
-    assert_eq!(named(&text).len(), 2, "a restart remembers who was heard: {text}");
+    assert_eq!(named(&text).len(), 2, "a restart keeps the producers that have sent: {text}");
     assert!(text.contains("\ntidemap_build_info{version=\""), "{text}");
     daemon.stop_in_order();
 }

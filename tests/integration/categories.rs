@@ -135,7 +135,7 @@ fn what_is_no_label_is_refused_with_the_labels() {
     for (line, words) in [
         ("state add home mood --kind categorical --labels good", "a categorical state has 2 to 64"),
         ("state add home mood --kind categorical --labels good,bad,good", "label \"good\" is named twice"),
-        ("state add home mood --kind categorical --labels good,x", "axis of a vector or an angle"),
+        ("state add home mood --kind categorical --labels good,x", "axis of a vector or of an angle"),
         ("state add home activity --kind categorical --labels sleep,eat", "exists with other labels"),
         ("state add home activity", "is a categorical state, not a probability"),
     ] {

@@ -186,7 +186,7 @@ impl Reader {
                         continue;
                     }
                     Some(expected) if !output::matches(expected, &shown) => {
-                        format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}")
+                        format!("the block showed other output than the page has:\n{shown}--- the page\n{expected}")
                     }
                     _ => continue,
                 },

@@ -84,7 +84,7 @@ async fn calls_without_a_token_take_no_place_of_others() {
         work(&admin, &flood, path).await;
         for asks in [&admin, &daemon.client()] {
             let mut health = HealthClient::new(asks.requests());
-            health.check(HealthCheckRequest::default()).await.expect("health is answered to another client");
+            health.check(HealthCheckRequest::default()).await.expect("another client gets the health");
         }
     }
     daemon.stop_in_order();
@@ -159,7 +159,7 @@ async fn connections_of_which_every_request_was_refused_make_room() {
         held.push(socket);
     }
     client(&daemon, &token).maps().await.expect("a newcomer comes in");
-    kept.maps().await.expect("who was served stays");
+    kept.maps().await.expect("a client that was served stays");
     daemon.stop_in_order();
 }
 

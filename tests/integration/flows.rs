@@ -114,7 +114,7 @@ fn what_is_no_flow_is_refused() {
     ask("people", "people", "").fails(1, &["source.motion_state"]);
     ask("heading", "velocity", "").fails(1, &["source.state", "only a vector has positions"]);
     ask("people", "nothing", "").fails(1, &["nothing"]);
-    ask("people", "velocity", "--resolution 0.0001").fails(1, &["take larger cells"]);
+    ask("people", "velocity", "--resolution 0.0001").fails(1, &["use larger cells"]);
     ask("people", "velocity", "--region 50,50:60,60").fails(1, &["nobody was detected in the region", "12096"]);
     ask("people", "velocity", "--directions 3").fails(2, &["4..=36"]);
     ask("people", "velocity", "--mask costs.png").fails(2, &[".pgm"]);

@@ -77,12 +77,12 @@ async fn robots_of_one_map_never_keep_those_of_another_out() {
         stream.acknowledged(1).await.expect("durable");
         lab.push(stream);
     }
-    // Both maps have half of the places: nobody makes room for the next any more.
+    // Both maps have half of the room: nobody makes room for the next any more.
     let refused = RawStream::open_as(&one, hello("office-7", "office")).await.expect_err("no place");
     check(&refused, &["max_streams"]);
     for stream in &mut lab {
         stream.batch(2, columns(&[], &[(0, 2_000, 1.0)])).await;
-        stream.acknowledged(2).await.expect("who had few places keeps them");
+        stream.acknowledged(2).await.expect("a client with few places keeps them");
     }
     daemon.stop_in_order();
 }
@@ -117,10 +117,11 @@ async fn one_token_leaves_states_of_a_map_to_others() {
     // All 9 places were free when the first one was added.
     let refused = new_states(&greedy, "greedy", 8).await;
     assert_eq!(refused.len(), 3, "5 of 9: {refused:?}");
-    assert!(refused[0].detail.contains("half of the room") && refused[0].detail.contains("max_states_per_map"));
+    assert!(refused[0].detail.contains("half of the free places") && refused[0].detail.contains("max_states_per_map"));
     let shape = StateShape::Scalar(StateKind::Probability);
     let added = greedy.add_state("office", "lamp", shape, None, None).await.expect_err("its share is taken");
-    assert!(added.code() == Some(Code::ResourceExhausted) && added.to_string().contains("half of the room"), "{added}");
+    assert_eq!(added.code(), Some(Code::ResourceExhausted));
+    assert!(added.to_string().contains("half of the free places"), "{added}");
     let refused = new_states(&other, "robot", 4).await;
     assert!(refused.len() == 1 && refused[0].detail.contains("the map has 9 states"), "3 are left: {refused:?}");
     // Known states are observed as before.
@@ -156,7 +157,7 @@ async fn one_token_leaves_tiles_of_a_map_to_others() {
     admin.create_map(map).await.expect("a new map");
     let refused = new_tiles(&greedy, "greedy", 0, 6).await;
     assert_eq!(refused.len(), 2, "4 of 8: {refused:?}");
-    assert!(refused[0].detail.contains("half of the room") && refused[0].detail.contains("max_tiles_per_map"));
+    assert!(refused[0].detail.contains("half of the free places") && refused[0].detail.contains("max_tiles_per_map"));
     assert_eq!(new_tiles(&other, "robot", 1, 4).await, []);
     daemon.stop_in_order();
 }
@@ -189,7 +190,7 @@ async fn requests_count_by_token_and_not_by_address() {
         }
     };
     assert!(refused.to_string().contains("max_requests_per_client"), "{refused}");
-    other.maps().await.expect("another token of the same address is answered");
+    other.maps().await.expect("another token of the same address is served");
     held.abort();
     daemon.stop_in_order();
 }
@@ -203,7 +204,7 @@ async fn updates_that_were_asked_for_give_their_places_back() {
         let request = RunUpdateRequest { map: "office".to_owned(), until: None };
         match service.run_update(request).await {
             Ok(_) => asked += 1,
-            Err(refused) => check(&refused, &["one client has asked for"]),
+            Err(refused) => check(&refused, &["one client has requested"]),
         }
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;
     }

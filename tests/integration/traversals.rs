@@ -152,7 +152,7 @@ fn single_reports_are_told_what_is_wrong_with_them() {
     assert_eq!(tidemap(&daemon, ["topology", "failures", "office"]).table().column("reason"), ["somebody stood there"]);
     let unknown = one("Lift", "2016-01-04T00:00:03Z", &["--success", "true"]);
     assert!(
-        unknown.stderr.contains("no edge Lift/Lab") && unknown.stderr.contains("can be loaded anew"),
+        unknown.stderr.contains("no edge Lift/Lab") && unknown.stderr.contains("can be loaded again"),
         "{}",
         unknown.stderr
     );

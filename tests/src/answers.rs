@@ -28,7 +28,7 @@ const TIMES_NANOS: [i64; 4] =
 pub async fn all(daemon: &Daemon, producers: &[String]) -> Vec<String> {
     let client = daemon.client();
     let mut lines = Vec::new();
-    for map in client.maps().await.expect("the daemon answers") {
+    for map in client.maps().await.expect("the daemon responds") {
         lines.push(format!("{map:?}"));
         let name = map.name.clone();
         for producer in producers {

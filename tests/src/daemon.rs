@@ -208,7 +208,7 @@ impl Process {
         match self.lines.recv_timeout(READY_WITHIN) {
             Ok(line) => {
                 let addresses = line.strip_prefix("listening grpc=").and_then(|rest| rest.split_once(" http="));
-                let (grpc, http) = addresses.unwrap_or_else(|| panic!("{line:?} does not say where it listens"));
+                let (grpc, http) = addresses.unwrap_or_else(|| panic!("{line:?} does not name the ports"));
                 let (grpc, http) = (grpc.to_owned(), http.to_owned());
                 Ok(Daemon { process: self, grpc, http })
             }

@@ -272,7 +272,7 @@ impl Oracle {
 /// If the daemon does not answer.
 pub async fn settled(client: &Client) {
     let is_out = |state: JobState| matches!(state, JobState::Waiting | JobState::Running);
-    while client.jobs().await.expect("the daemon answers").iter().any(|job| is_out(job.state)) {
+    while client.jobs().await.expect("the daemon responds").iter().any(|job| is_out(job.state)) {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
 }
@@ -294,7 +294,7 @@ pub async fn run_update(client: &Client, map: &str, until_nanos: Option<i64>) {
     let job = client.run_update(map, until_nanos).await.expect("the map is there");
     let mut watch = client.watch_job(job.id).await.expect("the job is known");
     let mut last = job;
-    while let Some(job) = watch.next().await.expect("the daemon answers") {
+    while let Some(job) = watch.next().await.expect("the daemon responds") {
         last = job;
     }
     assert_eq!(last.state, JobState::Done, "the update ended with {:?}", last.error);

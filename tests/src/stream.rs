@@ -149,7 +149,7 @@ impl RawStream {
     }
 
     async fn next(&mut self) -> Result<Option<Message>, Status> {
-        let reply = tokio::time::timeout(ANSWER_WITHIN, self.replies.message()).await.expect("the daemon answers");
+        let reply = tokio::time::timeout(ANSWER_WITHIN, self.replies.message()).await.expect("the daemon responds");
         Ok(reply?.and_then(|reply| reply.message))
     }
 

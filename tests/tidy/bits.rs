@@ -20,8 +20,8 @@ const OF_THE_MACHINE: [&str; 27] = [
 /// Names that a kernel must not use: pulp gives the results of these for each instruction set as it likes.
 const OF_THE_VECTOR: [(&str, &str); 3] = [
     ("Arch::new", "the instruction set is chosen in server/model/src/instruction_set.rs"),
-    ("mul_add_e_", "it is fused on some instruction sets only: say mul_add_f64s"),
-    ("reduce_sum_", "its order depends on the width of vectors: say Eight::sum of server/model/src/lanes.rs"),
+    ("mul_add_e_", "it is fused on some instruction sets only: use mul_add_f64s"),
+    ("reduce_sum_", "its order depends on the width of vectors: use Eight::sum of server/model/src/lanes.rs"),
 ];
 
 /// The methods of the machine that a line calls, as `x.exp()`, `f64::exp` or `f32::exp`.

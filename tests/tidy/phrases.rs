@@ -139,7 +139,7 @@ fn names_say_what_a_value_is() {
     for path in &files(".", ".rs") {
         for (number, line) in lines(&read(path)).iter().enumerate() {
             for name in empty_names(&line.code) {
-                broken.push(format!("{path}:{}: `{name}` does not say what the value is", number + 1));
+                broken.push(format!("{path}:{}: `{name}` does not describe the value", number + 1));
             }
         }
     }
@@ -169,7 +169,7 @@ fn comments_can_be_read_alone() {
         let text = read(&path);
         for (number, comment) in paragraphs(&lines(&text)) {
             if is_empty_comment(&comment) {
-                broken.push(format!("{path}:{number}: {:?} says nothing by itself: name what it is", comment[0]));
+                broken.push(format!("{path}:{number}: {:?} means nothing by itself: name what it is", comment[0]));
             }
         }
     }

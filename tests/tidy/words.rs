@@ -89,7 +89,7 @@ fn the_client_library_defines_no_type_of_the_domain_again() {
     let mut broken = Vec::new();
     for (name, path) in DOMAIN.into_iter().flat_map(public_types) {
         if let Some(twin) = of_client.get(&name) {
-            broken.push(format!("{twin}: {name} is defined in {path}: re-export it, or say by the name what differs"));
+            broken.push(format!("{twin}: {name} is defined in {path}: re-export it, or give it another name"));
         }
     }
     hold(&broken);

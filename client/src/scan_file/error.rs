@@ -9,7 +9,7 @@ use tidemap_proto::convert::scans::TileError;
 
 /// Errors of reading a file of scans.
 #[derive(Clone, Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum ScanFileError {
     #[error("byte {offset}: {error}")]
     Io { offset: u64, error: Arc<io::Error> },
@@ -19,7 +19,7 @@ pub enum ScanFileError {
 
 /// The fault of a file of scans.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum ScanFileFault {
     #[error(
         "the file begins with {:?}; a file of scans begins with the line \"tidemap scans 1\"",

@@ -30,7 +30,7 @@ pub struct ScanFileWriter<W> {
 
 /// Why a scan cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum ScanWriteError {
     #[error(transparent)]
     Io(#[from] io::Error),

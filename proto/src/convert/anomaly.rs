@@ -73,7 +73,7 @@ pub fn watch_from_wire(request: v1::WatchAnomaliesRequest) -> Result<WatchQuesti
     let location = (!location.is_empty()).then(|| location_name_from_wire("location", &location)).transpose()?;
     let region = region.as_ref().map(cell_box_from_wire);
     if region.is_some_and(|region| region.count() == 0) {
-        let text = "the region holds no cells: each maximum is above its minimum";
+        let text = "the region has no cells: each maximum must be above its minimum";
         return Err(InvalidField::new("region", text));
     }
     Ok(WatchQuestion { states, location, region, confidence, selector })
@@ -94,7 +94,7 @@ pub fn surprises_from_wire(request: v1::ListSurprisesRequest) -> Result<(Vec<Str
     let confidence = confidence_from_wire("confidence", confidence)?;
     if confidence.get() < KEPT_CONFIDENCE {
         let text = format!(
-            "{} is too low: what is unusual is kept from {KEPT_CONFIDENCE} on; FindAnomalies judges by less",
+            "{} is too low: anomalies are stored from {KEPT_CONFIDENCE} on; use FindAnomalies for a lower confidence",
             confidence.get()
         );
         return Err(InvalidField::new("confidence", text));
@@ -113,7 +113,7 @@ pub fn surprises_from_wire(request: v1::ListSurprisesRequest) -> Result<(Vec<Str
 pub fn no_cell_from_wire(field: &str, name: &str) -> Result<(), InvalidField> {
     match CellIndex::from_name(name) {
         Some(_) => {
-            let text = format!("{name}: cells keep nothing of what was unusual; FindAnomalies looks at a cell");
+            let text = format!("{name}: no anomalies of cells are stored; use FindAnomalies for a cell");
             Err(InvalidField::new(field, text))
         }
         None => Ok(()),

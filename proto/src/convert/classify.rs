@@ -64,7 +64,7 @@ pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<Class
     if known.is_empty() {
         return Err(InvalidField::new(
             "likelihoods",
-            "there is none: say how likely each label makes what was observed",
+            "there is none: give how likely the observation is for each label",
         ));
     }
     let learning = match v1::ActivityLearning::try_from(request.learn) {
@@ -74,7 +74,7 @@ pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<Class
         Err(_) => return Err(InvalidField::new("learn", format!("{} is not known", request.learn))),
     };
     if learning != Learning::Nothing && producer.is_empty() {
-        return Err(InvalidField::new("producer", "missing: what is learned has a producer"));
+        return Err(InvalidField::new("producer", "missing: an observation that is learned needs a producer"));
     }
     Ok(ClassifyQuestion { state, utc_nanos, likelihoods: known, place: place.transpose()?, selector, learning })
 }

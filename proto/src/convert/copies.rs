@@ -55,7 +55,7 @@ pub fn message_from_wire(message: v1::FetchMapResponse) -> Result<CopyMessage, &
             Ok(CopyMessage::Part(FilePart { name, offset, bytes: content, is_last }))
         }
         Some(v1::fetch_map_response::Item::End(end)) => Ok(CopyMessage::End(end.files, end.bytes)),
-        None => Err("a message says nothing"),
+        None => Err("a message is empty"),
     }
 }
 

@@ -143,7 +143,7 @@ mod tests {
     fn shares_are_those_of_their_observations() {
         let labels = |index: u32| [None, Some(2), Some(3)][index as usize];
         let numbers = [0.5, 0.5, 1.0, 0.0, 0.0];
-        let found = shares(&[0, 1, 2], &numbers, labels).expect("as many as asked for");
+        let found = shares(&[0, 1, 2], &numbers, labels).expect("as many as requested");
         assert_eq!(found, [(1, Box::from([0.5, 0.5])), (2, Box::from([1.0, 0.0, 0.0]))]);
         assert_eq!(shares(&[0, 1], &numbers, labels).expect_err("too many").field, "observations.shares");
     }

@@ -84,7 +84,7 @@ pub fn landmark_from_wire(field: &str, wire: &v1::Landmark) -> Result<Landmark, 
     let feature = |feature: &v1::ImageFeature| {
         feature_from_wire(feature).map_err(|error| InvalidField::new(within("descriptor"), error))
     };
-    let missing = || InvalidField::new(field, "missing: say how it is recognised, by image, marker or path");
+    let missing = || InvalidField::new(field, "missing: set how it is recognised: by image, marker or path");
     let kind = match kind.as_ref().ok_or_else(missing)? {
         Kind::Image(image) => LandmarkKind::Image(feature(image)?),
         Kind::Marker(marker) => {
@@ -92,7 +92,7 @@ pub fn landmark_from_wire(field: &str, wire: &v1::Landmark) -> Result<Landmark, 
             LandmarkKind::Marker { number: marker.number, pose }
         }
         Kind::Path(path) => {
-            let missing = || InvalidField::new(within("path.feature"), "missing: say what the robot sees there");
+            let missing = || InvalidField::new(within("path.feature"), "missing: set what the robot sees there");
             LandmarkKind::Path { along_m: path.along_m, feature: feature(path.feature.as_ref().ok_or_else(missing)?)? }
         }
     };
@@ -176,7 +176,7 @@ pub fn removal_from_wire(request: &v1::RemoveLandmarksRequest) -> Result<Landmar
             let names = names.iter().enumerate().map(name).collect::<Result<_, InvalidField>>()?;
             Ok(LandmarkRemoval::Named(whole_place_from_wire("place", place.as_ref())?, names))
         }
-        _ => Err(InvalidField::new("names", "name landmarks, or say seldom_seen: one of the two")),
+        _ => Err(InvalidField::new("names", "name landmarks, or set seldom_seen: one of the two")),
     }
 }
 
@@ -205,7 +205,7 @@ const COMPARED: usize = 100;
 pub fn localise_from_wire(request: &v1::LocaliseRequest) -> Result<LocaliseQuestion, InvalidField> {
     let v1::LocaliseRequest { time, features, landmarks_per_node, nodes, .. } = request;
     if features.len() < FEATURES_MIN {
-        let text = format!("{}: at least {FEATURES_MIN} features are needed, to tell which is nearest", features.len());
+        let text = format!("{}: at least {FEATURES_MIN} features are needed, to find the nearest one", features.len());
         return Err(InvalidField::new("features", text));
     }
     let feature = |(number, wire): (usize, &v1::ImageFeature)| {

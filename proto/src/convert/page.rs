@@ -33,7 +33,7 @@ pub fn page_from_wire(page_size: u32, token: &str, default: usize, max: usize) -
         size if size <= max => size,
         size => return Err(InvalidField::new("page_size", format!("{size} is too many: at most {max}"))),
     };
-    let foreign = |_| InvalidField::new("page_token", format!("{token:?} did not come from a reply"));
+    let foreign = |_| InvalidField::new("page_token", format!("{token:?} is not from a reply"));
     let start = if token.is_empty() { 0 } else { token.parse::<usize>().map_err(foreign)? };
     Ok(Page { start, size })
 }

@@ -46,7 +46,7 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
     use v1::plan_route_request::When as Asked;
     let default = RouteOptions::default();
     let horizon_secs = positive_secs("horizon", request.horizon, default.horizon_secs)?;
-    let missing = || InvalidField::new("when", "say when: depart_time, arrive_by_time or depart_within");
+    let missing = || InvalidField::new("when", "set one of depart_time, arrive_by_time and depart_within");
     let (reference_nanos, when) = match request.when.as_ref().ok_or_else(missing)? {
         Asked::DepartTime(time) => (nanos_from_timestamp("depart_time", *time)?, When::DepartAt(0.0)),
         Asked::ArriveByTime(time) => {
@@ -97,7 +97,7 @@ pub fn policy_from_wire(request: &v1::PlanPolicyRequest) -> Result<PolicyOptions
         v1::RouteObjective::Unspecified | v1::RouteObjective::Success => PolicyObjective::Reach,
         v1::RouteObjective::Time => PolicyObjective::Time,
         v1::RouteObjective::Blend => {
-            return Err(InvalidField::new("objective", "a policy has no blend: ask for success or time"));
+            return Err(InvalidField::new("objective", "a policy has no blend: request success or time"));
         }
     };
     let slot_secs = positive_secs("slot", request.slot, default.slot_secs)?;

@@ -49,7 +49,7 @@ pub struct ScanLimits {
 
 /// Why a message of scans ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the variants and fields are")]
+#[allow(missing_docs, reason = "the error texts name the variants and fields")]
 pub enum ScanError {
     #[error(transparent)]
     Invalid(#[from] InvalidField),

@@ -173,7 +173,7 @@ fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, Inv
     let step = span("step", request.step, JOINT_STEP_NANOS, 1_000_000_000)?;
     let steps = within / step;
     if steps >= JOINT_TIMES_MAX {
-        let text = format!("{} times: at most {JOINT_TIMES_MAX} are looked at; take longer steps", steps + 1);
+        let text = format!("{} times: at most {JOINT_TIMES_MAX} are examined; use longer steps", steps + 1);
         return Err(InvalidField::new("step", text));
     }
     let last = from.checked_add(within).ok_or_else(|| InvalidField::new("within", "the end is after the year 2262"))?;

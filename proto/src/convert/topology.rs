@@ -25,7 +25,7 @@ fn node_from_wire(field: &str, wire: &v1::TopologyNode) -> Result<NewNode, Inval
 }
 
 fn ends_from_wire(field: &str, wire: Option<&v1::EdgeEnds>) -> Result<EdgeEnds, InvalidField> {
-    let missing = || InvalidField::new(field, "say between which nodes");
+    let missing = || InvalidField::new(field, "missing: name the two nodes");
     let v1::EdgeEnds { from, to, action, both_ways } = wire.ok_or_else(missing)?;
     let action = if action.is_empty() { None } else { Some(name(&format!("{field}.action"), action)?) };
     Ok(EdgeEnds {
@@ -61,7 +61,7 @@ pub fn load_from_wire(request: &v1::LoadTopologyRequest) -> Result<TopologyEdit,
 /// # Errors
 /// The edit is missing, or a name is invalid.
 pub fn edit_from_wire(edit: Option<&Edit>) -> Result<TopologyEdit, InvalidField> {
-    Ok(match edit.ok_or_else(|| InvalidField::new("edit", "say what is to change"))? {
+    Ok(match edit.ok_or_else(|| InvalidField::new("edit", "missing: set what is to change"))? {
         Edit::AddNode(node) => TopologyEdit::AddNode(node_from_wire("add_node", node)?),
         Edit::SetNode(node) => TopologyEdit::SetNode(node_from_wire("set_node", node)?),
         Edit::RemoveNode(text) => TopologyEdit::RemoveNode(name("remove_node", text)?),

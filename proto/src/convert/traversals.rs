@@ -15,7 +15,7 @@ use super::{
 use crate::v1;
 
 /// Advice how to find a valid edge.
-const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
+const WAY_OUT: &str = "the map's topology lists the existing ones, and can be loaded again";
 
 /// Bytes of a traversal's texts.
 pub(super) fn text_bytes(traversal: &v1::Traversal) -> usize {

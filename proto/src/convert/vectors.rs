@@ -51,7 +51,7 @@ pub fn shape_from_wire(
         Err(_) => return Err(InvalidField::new(kind_field, format!("{kind} is not known"))),
     };
     if dimensions != 0 {
-        let text = format!("{dimensions} coordinates of what is no vector: should be 0");
+        let text = format!("{dimensions} coordinates, but the state is not a vector: it must be 0");
         return Err(InvalidField::new(dimensions_field, text));
     }
     Ok(shape)
@@ -208,7 +208,7 @@ mod tests {
             Some(Some(StateShape::Vector(dimensions))) => Some(*dimensions),
             _ => None,
         };
-        let found = positions(&decoded.state_indices, &coordinates, dimensions).expect("as many as asked for");
+        let found = positions(&decoded.state_indices, &coordinates, dimensions).expect("as many as requested");
         let bits = |numbers: &[f64]| numbers.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
         let found: Vec<_> = found.iter().map(|(i, position)| (*i, bits(position.coordinates()))).collect();
         assert_eq!(found, [(0, bits(&[1.5, -2.0])), (2, bits(&[0.25, 1e12, f64::NAN])), (3, bits(&[7.0, 8.0]))]);

@@ -21,7 +21,7 @@ pub const MESSAGE_BYTES_MAX: usize = 1 << 20;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EngineError {
     /// The engine did not reply in time, or the connection broke: the call may have had its effect or not.
-    #[error("the engine did not answer: {0}")]
+    #[error("the engine did not respond: {0}")]
     Unknown(String),
     /// The call has had no effect, and may succeed later: no leader, no connection.
     #[error("the engine is not available: {0}")]

@@ -64,7 +64,7 @@ impl GroupPart {
             return Err("the checksum of its header does not match");
         }
         if header[4] != VERSION {
-            return Err("it has a version that this daemon does not know");
+            return Err("it has a version that this daemon does not support");
         }
         let frames = message.slice(HEADER_BYTES..);
         if u32_at(48) != crc32c::crc32c(&frames) {
@@ -76,7 +76,7 @@ impl GroupPart {
             return Err("its position is not valid");
         };
         if part >= parts || records == 0 || frames.is_empty() {
-            return Err("it is empty, or has more parts than it says");
+            return Err("it is empty, or has more parts than it states");
         }
         Ok(Some(GroupPart {
             map: u64_at(12),

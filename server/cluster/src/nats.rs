@@ -278,7 +278,7 @@ impl Engine for NatsEngine {
     async fn set(&self, bucket: Bucket, key: &str, value: Bytes) -> Result<u64, EngineError> {
         self.write(bucket, key, None, Some(value)).await.map_err(|error| match error {
             SetError::Engine(error) => error,
-            SetError::NotExpected => EngineError::Refused("a condition that was not asked for".to_owned()),
+            SetError::NotExpected => EngineError::Refused("a condition that was not requested".to_owned()),
         })
     }
 

@@ -305,7 +305,7 @@ impl SimulatedEngine {
 fn unconditional(error: SetError) -> EngineError {
     match error {
         SetError::Engine(error) => error,
-        SetError::NotExpected => EngineError::Refused("a condition that was not asked for".to_owned()),
+        SetError::NotExpected => EngineError::Refused("a condition that was not requested".to_owned()),
     }
 }
 

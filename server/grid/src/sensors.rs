@@ -45,12 +45,12 @@ impl std::fmt::Display for ProducerSensor {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidSensor {
     /// The probabilities are inconsistent, or are so small that no posterior follows from them.
-    #[error("sensor of {0}: it must hold 0 <= false alarm < hit <= 1")]
+    #[error("sensor of {0}: it must satisfy 0 <= false alarm < hit <= 1")]
     Range(ProducerSensor),
     /// The map's own sensor is not informative enough.
     #[error(
-        "the map's own sensor hardly tells free from occupied (its readings count as {free} and {occupied}), and other \
-         sensors are kept in its units: no producer may have one of its own"
+        "the map's own sensor hardly distinguishes free from occupied (its readings count as {free} and {occupied}), \
+         and other sensors are kept in its units: no producer may have one of its own"
     )]
     Own {
         /// The value that a free reading counts as.

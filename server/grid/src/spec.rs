@@ -86,13 +86,14 @@ pub enum InvalidGrid {
     #[error("origin {0} m: it must be between -1e7 and 1e7")]
     Origin(f64),
     /// The extent is empty or too large.
-    #[error("an extent of {}x{}x{} cells from ({}, {}, {}): it must hold at least one cell, within ±{} cells of the origin{}",
+    #[error("an extent of {}x{}x{} cells from ({}, {}, {}): it must contain at least one cell, within ±{} cells of the \
+        origin{}",
         .0.size()[0], .0.size()[1], .0.size()[2], .0.min.x, .0.min.y, .0.min.z, TILE_LIMIT * TILE_EDGE,
         if *.1 { ", and the layer z = 0 alone" } else { "" })]
     Extent(CellBox, bool),
     /// The sensor's probabilities are inconsistent.
     #[error(
-        "sensor noise hit {}, false alarm {}, prior {}: it must hold 0 <= false alarm < hit <= 1 and 0 < prior < 1",
+        "sensor noise hit {}, false alarm {}, prior {}: it must satisfy 0 <= false alarm < hit <= 1 and 0 < prior < 1",
         .0.hit, .0.false_alarm, .0.prior
     )]
     Sensor(SensorNoise),

@@ -35,7 +35,7 @@
 //! this. For a new format, a copy of this format is frozen in `tidemap-migrations`, beside the step that leads to the
 //! new format.
 
-#![allow(missing_docs, reason = "fields whose name says it all")]
+#![allow(missing_docs, reason = "the names of the fields are sufficient")]
 
 pub mod cluster;
 pub mod ensemble;

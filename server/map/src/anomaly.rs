@@ -86,7 +86,7 @@ pub fn anomalies<'a>(
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CannotJudge {
     /// The model predicts from the newest value, which is not the value before the observation.
-    #[error("{0} answers from the newest value, not from the one before an observation: use a model such as auto")]
+    #[error("{0} predicts from the newest value, not from the one before an observation: use a model such as auto")]
     Newest(ModelKind),
     /// The newest value is blended in.
     #[error("{name} blends in the newest value, not the one before an observation: leave it out", name = .0.name())]

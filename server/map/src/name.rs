@@ -43,7 +43,7 @@ pub enum InvalidName {
         chars: usize,
     },
     /// The name contains a control, format or other unprintable character.
-    #[error("name {name:?} holds the unprintable character U+{code:04X}")]
+    #[error("name {name:?} contains the unprintable character U+{code:04X}")]
     Unprintable {
         /// The name, shortened.
         name: String,
@@ -54,7 +54,7 @@ pub enum InvalidName {
     #[error("name {0:?} is not in Unicode normalisation form C (NFC)")]
     NotNfc(String),
     /// The name contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
-    #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
+    #[error("name {0:?} contains '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
     /// The name is not allowed for a vector, an angle or a categorical state: the names of its parts would be like
     /// those of a cell, an edge, a node or a landmark.
@@ -64,7 +64,7 @@ pub enum InvalidName {
     )]
     Reserved(String),
     /// A label has the name of an axis of a vector or an angle.
-    #[error("label {0:?} is how an axis of a vector or an angle is called: use another word")]
+    #[error("label {0:?} is the name of an axis of a vector or of an angle: use another word")]
     Axis(String),
     /// A name of a label without its state.
     #[error("name {0:?} is not a label of a state, which is called STATE/LABEL")]

@@ -26,7 +26,7 @@ pub enum SightingError {
     #[error(transparent)]
     Landmark(#[from] LandmarkError),
     /// A landmark is named twice.
-    #[error("landmark {0:?} is named twice: it is seen, or out of view, or was looked for and not seen")]
+    #[error("landmark {0:?} is named twice: it is seen, or out of view, or was searched for and not seen")]
     NamedTwice(String),
     /// The part of the edge is invalid.
     #[error("part {from_m} m to {to_m} m: only an edge has parts, and they begin at 0 or later and end after that")]

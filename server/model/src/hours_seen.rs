@@ -172,7 +172,7 @@ mod tests {
         let seen = HoursSeen::of_bins(&bins);
         // 1970-01-01 was a Thursday.
         let at = |hour: i64| seen.at(hour * HOUR_NANOS);
-        assert_eq!(at(20).temper(0.3, 1.0), 0.3, "nobody looked nearby");
+        assert_eq!(at(20).temper(0.3, 1.0), 0.3, "no observation nearby");
         assert!((0.98..1.0).contains(&at(9).temper(0.3, 1.0)) && (1e-4..0.02).contains(&at(9).temper(0.3, 0.0)));
         assert!(at(10).temper(0.3, 1.0) < at(9).temper(0.3, 1.0));
         assert_eq!(at(9).temper(1.0, 1.0), 1.0);

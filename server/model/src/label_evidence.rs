@@ -31,7 +31,7 @@ pub enum InvalidEvidence {
     #[error("{what} of label {label} is {found}, but has to be {right}")]
     Value { what: &'static str, label: usize, found: f64, right: &'static str },
     /// All likelihoods are 0.
-    #[error("the likelihood of every label is 0, so that no label explains what was observed")]
+    #[error("the likelihood of every label is 0, so that no label explains the observation")]
     NothingPossible,
     /// A label or a place that does not exist.
     #[error("{what} {found} does not exist: there are {count}, counted from 0")]

@@ -70,7 +70,7 @@ pub enum InvalidHold {
     },
     /// One row would represent too many readings.
     #[error(
-        "values that hold for {max_secs} s at most and are learned every {step_secs} s: one row would stand for {} \
+        "values that hold for {max_secs} s at most and are learned every {step_secs} s: one row would mean {} \
          readings, the maximum is {READINGS_PER_ROW}; choose a longer step or a shorter hold",
         max_secs / step_secs
     )]

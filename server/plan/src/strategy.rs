@@ -81,7 +81,7 @@ pub enum StrategyError {
     #[error("the exploration ratio is {found}, expected a number from 0 to 1")]
     Ratio { found: f64 },
     /// More visits than slots.
-    #[error("{visits} visits do not fit into {slots} slots: ask for at most {slots}")]
+    #[error("{visits} visits do not fit into {slots} slots: request at most {slots}")]
     Budget { visits: usize, slots: usize },
     /// The weight is out of range.
     #[error("the weight of exploration is {found}, expected a number from 0 to 1")]

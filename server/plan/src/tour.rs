@@ -41,7 +41,7 @@ pub enum NoTour {
     #[error("nothing within {START_TOLERANCE_M} m of the start is free for the robot")]
     StartBlocked,
     /// No candidate is reachable with a free view.
-    #[error("no place on the candidates' grid can be driven to and looked from")]
+    #[error("no place on the candidates' grid can be reached and has a free view")]
     NothingReachable,
     /// There are candidates, but no information.
     #[error("no reachable place has information to gain")]

@@ -122,7 +122,7 @@ mod tests {
     fn every_method_has_one_row() {
         let rows: Vec<&str> = PLACES.iter().map(|(path, _)| *path).collect();
         let known: Vec<&str> = methods().collect();
-        assert_eq!(rows, known, "say in this table where these methods can be answered");
+        assert_eq!(rows, known, "add these methods to this table, with where they can be served");
     }
 
     #[test]

@@ -167,7 +167,7 @@ mod tests {
         assert_eq!(rows.len(), TABLE.len(), "no method has two rows");
         let served = served();
         let missing: Vec<&String> = served.difference(&rows).collect();
-        assert!(missing.is_empty(), "say in this table which role these methods need: {missing:?}");
+        assert!(missing.is_empty(), "add these methods to this table, with the role that they need: {missing:?}");
         let rest: Vec<&String> = rows.difference(&served).collect();
         assert!(rest.is_empty(), "these methods are gone: {rest:?}");
         assert!(served.len() > 40, "{served:?}");

@@ -20,12 +20,12 @@ use crate::clock::{Clock as _, SystemClock};
 
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
-/// What to do with tokens.
+/// Manage tokens.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum TokenCommand {
-    /// Make a token and print it, this once; a running daemon takes it within seconds.
+    /// Create a token and print it once; a running daemon accepts it within seconds.
     Create(CreateArgs),
-    /// List the tokens: id, roles, maps, when each was made, its note, when it ends, and its producers.
+    /// List the tokens: id, roles, maps, creation time, note, expiry time, and producers.
     List,
     /// Revoke a token; a running daemon refuses it within seconds, and ends its streams.
     Revoke {
@@ -35,25 +35,24 @@ pub(crate) enum TokenCommand {
     },
 }
 
-/// What a new token allows.
+/// The permissions of a new token.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct CreateArgs {
-    /// What the token allows; give it several times for several roles.
+    /// Role of the token; repeat the option for several roles.
     #[arg(long = "role", value_name = "ROLE", required = true)]
     roles: Vec<Role>,
-    /// A map that the token is for, or the beginning of names and * (lab-*); give it several times for several
-    /// [default: all maps].
+    /// Map of the token, or the beginning of names and * (lab-*); repeat the option for several [default: all maps].
     #[arg(long = "map", value_name = "MAP")]
     maps: Vec<MapPattern>,
-    /// A producer that the token may send observations as, or the beginning of names and * (robot-*); give it several
-    /// times for several [default: all producers].
+    /// Producer as which the token may send observations, or the beginning of names and * (robot-*); repeat the option
+    /// for several [default: all producers].
     #[arg(long = "producer", value_name = "PRODUCER")]
     producers: Vec<ProducerPattern>,
-    /// When the token ends: after a duration such as 90d or 12h, or at a time such as 2027-01-01T00:00:00Z [default:
+    /// Expiry of the token: after a duration such as 90d or 12h, or at a time such as 2027-01-01T00:00:00Z [default:
     /// never].
     #[arg(long, value_name = "WHEN")]
     expires: Option<String>,
-    /// Who gets the token.
+    /// Note about the owner of the token.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
 }

@@ -69,7 +69,7 @@ pub(crate) enum TokenFileError {
     #[error("token file {}: {source}", .path.display())]
     Io { path: PathBuf, source: io::Error },
     #[error(
-        "token file {} has permissions {mode:o}: others can read or change it. Say chmod 600 {}",
+        "token file {} has permissions {mode:o}: others can read or change it. Run chmod 600 {}",
         .path.display(), .path.display()
     )]
     Open { path: PathBuf, mode: u32 },
@@ -135,7 +135,7 @@ pub(super) fn generate(
     expires_secs: Option<i64>,
 ) -> io::Result<(Token, String)> {
     let mut random = [0; ID_BYTES + SECRET_BYTES];
-    SystemRandom::new().fill(&mut random).map_err(|_| io::Error::other("the system gives no random numbers"))?;
+    SystemRandom::new().fill(&mut random).map_err(|_| io::Error::other("the system provides no random numbers"))?;
     let id = hex(&random[..ID_BYTES]);
     let text = format!("{PREFIX}{id}_{}", hex(&random[ID_BYTES..]));
     Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, producers, note, created_secs, expires_secs }, text))
@@ -201,7 +201,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
         let at = format!(", token {}", index + 1);
         let token = entry.check().map_err(|reason| invalid(at.clone(), reason))?;
         if tokens.iter().any(|other| other.id == token.id) {
-            return Err(invalid(at, "its id is taken by a token before"));
+            return Err(invalid(at, "an earlier token has the same id"));
         }
         tokens.push(token);
     }

@@ -61,8 +61,8 @@ impl Catalog {
                 match &outcome {
                     Ok((_, Some(aside))) => warn!(
                         map = %name, folder = %aside.display(),
-                        "a copy of another daemon's takes the place of the map. The folder that it had is set aside: \
-                         remove it when nobody needs it"
+                        "a copy from another daemon replaces the map. The folder that it had is set aside: remove it \
+                         when nobody needs it"
                     ),
                     Ok((_, None)) => {}
                     Err(error @ CopyError::Unfinished(_)) => {

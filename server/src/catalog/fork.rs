@@ -78,13 +78,13 @@ fn set_aside(context: &Context, id: MapId, map: &MapName, common: u64) -> Result
             error!(
                 %map, first = fork.first, last = fork.last, file = fork.name,
                 "FORKED: the own log of this daemon had records that the shared log does not have. The daemon has set \
-                 them aside. `tidemap cluster heal {map}` takes their observations into the map again"
+                 them aside. `tidemap cluster heal {map}` adds their observations to the map again"
             );
         }
         Some(fork) => warn!(
             %map, first = fork.first, last = fork.last, file = fork.name,
-            "this daemon has set records aside whose append may not have been confirmed when it lost the log. \
-             `tidemap cluster heal {map}` takes in what the map lacks of them"
+            "this daemon has set records aside whose append may not have been confirmed when it lost the log. `tidemap \
+             cluster heal {map}` adds those that the map lacks"
         ),
         None => {}
     }

@@ -287,7 +287,7 @@ impl Cluster {
         self.0.changed.notify_one();
         let member = self.member();
         if is_draining {
-            tracing::info!(member, "an operator drains this member: it hands over its maps and takes no new ones");
+            tracing::info!(member, "an operator drains this member: it hands over its maps and accepts no new ones");
         } else {
             tracing::info!(member, "an operator has ended the drain of this member: it may take maps again");
         }

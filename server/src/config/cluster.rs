@@ -102,7 +102,7 @@ pub(crate) const EXAMPLE: &str = r#"
 # --- cluster: see the page Clusters of the guide ----------------------------------------------------------------------
 #
 # With this section the daemon is one of several that share the logs of their maps through NATS JetStream (nats-server
-# 2.15.1 or newer). All daemons of a cluster have the same section but for `member`, `advertise`, `capacity`, and the
+# 2.15.1 or newer). All daemons of a cluster have the same section except `member`, `advertise`, `capacity`, and the
 # certificate and the key for the engine. The environment may set `member`, `advertise` and `servers`
 # (TIDEMAP_CLUSTER_MEMBER and so on). `member` and `servers` must be set.
 
@@ -114,23 +114,24 @@ pub(crate) const EXAMPLE: &str = r#"
 # Name of this daemon: letters, digits and -. Each member has its own name; a second one of that name does not start.
 #member = ""
 
-# URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"]. A URL may hold user and
+# URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"]. A URL may contain user and
 # password, as nats://USER:PASSWORD@HOST:PORT; they are not logged.
 #servers = []
 
-# Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT.
-# Empty: http:// and the value of `listen`; set it if the daemon has TLS or listens on all addresses. A daemon with
-# tokens passes requests on over https:// or within its machine; with allow_insecure_remote also without TLS.
+# Address at which the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or
+# https://HOST:PORT. Empty: http:// and the value of `listen`; set it if the daemon has TLS or listens on all addresses.
+# A daemon with tokens passes requests on over https:// or within its machine; with allow_insecure_remote also without
+# TLS.
 #advertise = ""
 
-# A file with the JWT and the seed that prove to the engine who connects; empty: none. If nkey_file is set too, this
+# A file with the JWT and the seed that identify this daemon to the engine; empty: none. If nkey_file is set too, this
 # file is used.
 #credentials_file = ""
 
-# A file with the seed of an nkey that proves it; empty: none.
+# A file with the seed of an nkey that identifies this daemon to the engine; empty: none.
 #nkey_file = ""
 
-# TLS to the engine: the authority of its certificates, and this daemon's certificate and key; empty: as the URLs say.
+# TLS to the engine: the authority of its certificates, and this daemon's certificate and key; empty: as in the URLs.
 #tls_ca = ""
 #tls_certificate = ""
 #tls_key = ""
@@ -138,35 +139,35 @@ pub(crate) const EXAMPLE: &str = r#"
 # A file with the authority of the daemons' certificates. It must be set where daemons are reached by https.
 #peer_ca = ""
 
-# Daemons that hold each map: one writes it, the others follow and can take its place. From 1 to 16.
+# Number of daemons that hold each map: one writes it, the others follow and can replace it. From 1 to 16.
 #replicas = 3
 
-# Servers of the engine that hold each log: 1, 3 or 5. 1 is for trials: what is acknowledged is lost with that server.
-# It cannot be changed later.
+# Number of servers of the engine that hold each log: 1, 3 or 5. 1 is for trials: what is acknowledged is lost with that
+# server. It cannot be changed later.
 #engine_replicas = 3
 
 # This daemon's share of the maps is proportional to it; 0: it holds none and passes requests on. From 0 to 1000.
 #capacity = 1
 
-# Time that a writer may be silent before another daemon takes its place, in milliseconds. From 1000 to 60000.
+# Maximum time that a writer may be silent before another daemon replaces it, in milliseconds. From 1000 to 60000.
 #lease_ms = 3000
 
-# Time that a new writer waits for a daemon with a longer log, in seconds. That daemon appends again what the engine has
-# forgotten. From 0 to 3600.
+# Maximum time that a new writer waits for a daemon with a longer log, in seconds. That daemon appends again the records
+# that the engine has lost. From 0 to 3600.
 #heal_wait_secs = 30
 
-# Time that a daemon that follows a map answers queries without having heard where the shared log ends, in milliseconds.
-# After that it refuses queries with UNAVAILABLE, reason STALE. From 2000 to 600000.
+# Maximum time that a daemon that follows a map answers queries without a message about the end of the shared log, in
+# milliseconds. After that it refuses queries with UNAVAILABLE, reason STALE. From 2000 to 600000.
 #max_staleness_ms = 10000
 
-# Bytes of records that are sent to the engine together. From 4096 to 524288.
+# Maximum number of bytes of records that are sent to the engine together. From 4096 to 524288.
 #group_bytes = 524288
 
-# The engine keeps about so many MiB of the log of each map. What is older goes when the checkpoints of two daemons have
-# it. A daemon that was away for longer fetches a copy of the map. From 1 to 1048576.
+# Approximate number of MiB of the log of each map that the engine keeps. Older records are removed when the checkpoints
+# of two daemons have them. A daemon that was absent for longer fetches a copy of the map. From 1 to 1048576.
 #keep_log_mib = 256
 
-# Refuse to start with an engine that says that it acknowledges before it has written to its disk.
+# Refuse to start with an engine that reports that it acknowledges before it has written to its disk.
 #require_synced_engine = true
 "#;
 
@@ -224,7 +225,7 @@ impl ClusterSettings {
         ] {
             if !set.as_os_str().is_empty() && other.as_os_str().is_empty() {
                 let set = set.display().to_string();
-                bail!("setting cluster.{key} is {set:?}, and cluster.{missing} is not set: the engine asks for both");
+                bail!("setting cluster.{key} is {set:?}, and cluster.{missing} is not set: the engine requires both");
             }
         }
         Ok(())

@@ -108,7 +108,7 @@ mod tests {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/tidemapd.toml");
         let kept = std::fs::read_to_string(path).expect("deploy/tidemapd.toml");
         let made = example().expect("text");
-        assert!(kept == made, "say: cargo run -p tidemapd -- config --example > deploy/tidemapd.toml\n{made}");
+        assert!(kept == made, "run: cargo run -p tidemapd -- config --example > deploy/tidemapd.toml\n{made}");
     }
 
     #[test]

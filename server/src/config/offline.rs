@@ -6,11 +6,11 @@ use std::path::PathBuf;
 
 use crate::access::token_command::TokenCommand;
 
-/// What to do instead of serving.
+/// Command to run instead of serving.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum OfflineCommand {
-    /// Print what the index of a data folder holds; no daemon may use the folder. The exit status is 0 if the index has
-    /// a whole generation of every map, 1 if not, and 2 if it cannot be printed.
+    /// Print the content of the index of a data folder; no daemon may use the folder. The exit status is 0 if the index
+    /// has a whole generation of every map, 1 if not, and 2 if it cannot be printed.
     Index {
         /// The data folder.
         #[arg(value_name = "DIR")]
@@ -19,9 +19,9 @@ pub(crate) enum OfflineCommand {
         #[arg(value_name = "MAP")]
         map: Option<String>,
     },
-    /// Make, list and revoke tokens, in the file that --tokens-file or the config file names.
+    /// Make, list and revoke tokens, in the file that is set by --tokens-file or the config file.
     Token {
-        /// What to do.
+        /// The command.
         #[command(subcommand)]
         command: TokenCommand,
     },
@@ -34,16 +34,16 @@ pub(crate) enum OfflineCommand {
         /// Repair what can be repaired without loss: lists of files where the files prove to be all, and the index.
         #[arg(long)]
         repair: bool,
-        /// Also go on without what is lost: lists that are lost, and files and maps that are listed and missing. The
+        /// Also continue without what is lost: lists that are lost, and files and maps that are listed and missing. The
         /// loss is recorded in the file LOSSES, which check, start and metrics show from then on.
         #[arg(long)]
         accept_loss: bool,
     },
     /// Check the engine of a cluster before daemons use it: print version and sync of its servers, and let writers race
     /// for the positions of a stream, which is made for that and deleted. The exit status is 0 if no position was taken
-    /// twice and nothing was lost, 1 if not, and 78 if the engine cannot be used or asked, or the settings are wrong.
+    /// twice and nothing was lost, 1 if not, and 78 if the engine cannot be used or reached, or the settings are wrong.
     CheckEngine {
-        /// How long the writers race, in seconds, from 1 to 3600.
+        /// Duration of the race of the writers, in seconds, from 1 to 3600.
         #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=3600))]
         seconds: u64,
     },
@@ -73,7 +73,7 @@ pub(crate) enum OfflineCommand {
     },
 }
 
-/// What to do with a backup.
+/// Manage backups.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub(crate) enum BackupCommand {
     /// Check a backup and copy it to an empty folder, which a daemon can use then.

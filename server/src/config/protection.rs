@@ -26,10 +26,11 @@ impl MissingProtection {
     /// The risk of the missing protection.
     pub(crate) fn consequence(self) -> &'static str {
         match self {
-            Self::Tls => "what is sent, and the tokens, can be read and changed on the way",
+            Self::Tls => "the transmitted data and the tokens can be read and changed on the way",
             Self::Tokens => "everybody who reaches the port can read, write and delete all maps",
             Self::Both => {
-                "everybody who reaches the port can read, write and delete all maps, and what is sent can be read"
+                "everybody who reaches the port can read, write and delete all maps, and the transmitted data can be \
+                 read"
             }
         }
     }

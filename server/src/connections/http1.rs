@@ -83,6 +83,6 @@ async fn serve_one(
     if ended.is_err_and(|error| error.is_parse_version_h2())
         && let Some(left_out) = OTHER_VERSIONS.next()
     {
-        info!(%peer, left_out, "a client spoke HTTP/2 to the HTTP port, which speaks HTTP/1.1: gRPC has its own port");
+        info!(%peer, left_out, "a client used HTTP/2 on the HTTP port, which supports HTTP/1.1: gRPC has its own port");
     }
 }

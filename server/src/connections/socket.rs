@@ -38,7 +38,7 @@ pub(crate) fn listen_unix(path: &Path, mode: u32) -> io::Result<UnixListener> {
             return Err(io::Error::new(io::ErrorKind::AlreadyExists, "a file that is no socket is there"));
         }
         Ok(_) if std::os::unix::net::UnixStream::connect(path).is_ok() => {
-            return Err(io::Error::new(io::ErrorKind::AddrInUse, "another daemon answers there"));
+            return Err(io::Error::new(io::ErrorKind::AddrInUse, "another daemon listens there"));
         }
         Ok(_) => fs::remove_file(path)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}

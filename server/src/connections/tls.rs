@@ -83,11 +83,11 @@ pub(crate) struct TlsFiles {
 pub(crate) enum TlsError {
     #[error("setting {setting}: {} cannot be read: {source}", .path.display())]
     Read { setting: &'static str, path: PathBuf, source: io::Error },
-    #[error("setting {setting}: {} holds no {what} in PEM form", .path.display())]
+    #[error("setting {setting}: {} contains no {what} in PEM form", .path.display())]
     Missing { setting: &'static str, path: PathBuf, what: &'static str },
     #[error(
         "setting tls_key: {} has permissions {mode:o}, so that everybody on this machine can read or change the key. \
-         Say chmod 600 {}",
+         Run chmod 600 {}",
         .path.display(), .path.display()
     )]
     Open { path: PathBuf, mode: u32 },
@@ -97,7 +97,7 @@ pub(crate) enum TlsError {
     )]
     Expired { path: PathBuf, until_secs: i64 },
     #[error(
-        "setting tls_certificate: the certificate in {} is not valid before {}, and this machine's clock says {}. Set \
+        "setting tls_certificate: the certificate in {} is not valid before {}, and this machine's clock is at {}. Set \
          the clock, or wait",
         .path.display(), shown(*.from_secs), shown(*.now_secs)
     )]
@@ -110,17 +110,18 @@ pub(crate) enum TlsError {
     )]
     NotForServers { path: PathBuf, why: NotForServers },
     #[error(
-        "setting tls_certificate: the certificate in {} names no host: clients look for the name or address that they \
-         connect to in its subject alternative names. Make one with the daemon's names and addresses", .path.display()
+        "setting tls_certificate: the certificate in {} names no host: clients need the name or address that they \
+         connect to in its subject alternative names. Make a certificate with the daemon's names and addresses",
+        .path.display()
     )]
     NoNames { path: PathBuf },
     #[error(
-        "setting tls_certificate: the certificate in {} is not for {host}, by which setting cluster.advertise says that \
-         this daemon is reached. It is for {}", .path.display(), .names.join(", ")
+        "setting tls_certificate: the certificate in {} is not for {host}, which is this daemon's host in setting \
+         cluster.advertise. It is for {}", .path.display(), .names.join(", ")
     )]
     NotAdvertised { path: PathBuf, host: String, names: Vec<String> },
     #[error(
-        "setting tls_certificate: the certificate in {} is for {}, and the one in use for {}: clients would not take \
+        "setting tls_certificate: the certificate in {} is for {}, and the one in use for {}: clients would not accept \
          it. If the daemon has other names now, start it again", .path.display(), .names.join(", "), .before.join(", ")
     )]
     OtherNames { path: PathBuf, names: Vec<String>, before: Vec<String> },
@@ -130,7 +131,7 @@ pub(crate) enum TlsError {
     )]
     Chain { path: PathBuf },
     #[error(
-        "setting tls_certificate: {} lacks the certificate of its issuer, which the one in use has with it. Put it behind \
+        "setting tls_certificate: {} lacks the certificate of its issuer, which the file in use includes. Add it after \
          the daemon's own", .path.display()
     )]
     NoIssuer { path: PathBuf },
@@ -224,7 +225,7 @@ impl TlsFiles {
         }
         if !is_private(mode, owner) {
             let path = self.key.display();
-            warn!("the private key {path} has permissions {mode:o}: its group can use it. Say chmod 600 {path}");
+            warn!("the private key {path} has permissions {mode:o}: its group can use it. Run chmod 600 {path}");
         }
         let mut text = Vec::new();
         file.read_to_end(&mut text).map_err(unreadable)?;

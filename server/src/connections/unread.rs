@@ -37,9 +37,7 @@ pub(crate) struct SharedContent;
 
 /// The error of a reply that there is no room for.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
-#[error(
-    "replies of so many bytes are not read yet that there is no room for this one: read the others first, or try again"
-)]
+#[error("unread replies take so much memory that there is no room for this one: read the others first, or try again")]
 pub(crate) struct NoRoom;
 
 /// The bytes of all replies that are not taken yet. Clones share them.

@@ -176,7 +176,7 @@ impl CopyNotes {
         if handle.shared_uid != Some(uid) || donors.is_empty() {
             return;
         }
-        info!(map = %name, ?cause, "the map needs a copy of another daemon's");
+        info!(map = %name, ?cause, "the map needs a copy from another daemon");
         let spec = MapSpec::clone(&handle.spec);
         let order = CopyOrder { uid, name: name.clone(), spec, replaces: Some(handle.id), donors };
         self.start(cluster, catalog, order);

@@ -272,9 +272,9 @@ async fn keep_held(
         {
             let map = ClusterMap::new(uid, &encode_spec(&handle.spec));
             match catalogue::add(cluster.engine(), name.as_str(), &map).await {
-                Ok(_) => warn!(map = %name, "the catalogue of the cluster had forgotten a map: it is listed again"),
+                Ok(_) => warn!(map = %name, "the catalogue of the cluster had lost a map: it is listed again"),
                 Err(SetError::NotExpected) => notes.warn(format!(
-                    "map {name} is held here as number {uid:016x}, and the catalogue of the cluster knows another map of \
+                    "map {name} is held here as number {uid:016x}, and the catalogue of the cluster has another map of \
                      this name"
                 )),
                 Err(SetError::Engine(_)) => {}

@@ -119,7 +119,7 @@ fn tell_state(store: &Store, folder: &Path) {
     let (id, folder) = (store.store_id(), folder.display());
     if store.is_new() {
         info!(
-            "{folder} is a new data folder, with the store id {id}. If it should have held data: is its disk mounted? To \
+            "{folder} is a new data folder, with the store id {id}. If it should contain data: is its disk mounted? To \
              refuse any other folder from now on, put this line into the config file: expect_store_id = \"{id}\""
         );
     }
@@ -159,7 +159,7 @@ fn follow_commits(catalog: &Arc<Catalog>) {
                 CommitStep::Written => part = span.child("fdatasync"),
                 CommitStep::Durable => span.end(),
                 CommitStep::Failed => {
-                    span.fail("not durable: the log says why");
+                    span.fail("not durable: the log has the reason");
                     span.end();
                 }
             }

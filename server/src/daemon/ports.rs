@@ -247,7 +247,7 @@ fn accept_grpc(
 fn accept_http(port: TcpListener, tls: Option<Tls>) -> [mpsc::Receiver<std::io::Result<Accepted>>; 2] {
     // Replies wait where they are counted, and not in the system, whose memory also belongs to the pod.
     if let Err(error) = rustix::net::sockopt::set_socket_send_buffer_size(&port, HTTP_SEND_BUFFER_BYTES) {
-        warn!(%error, "the system keeps as much of unread replies as it likes");
+        warn!(%error, "the system does not limit the memory of unread replies");
     }
     let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS));
     let (acceptor, in_reserve) = acceptor.with_reserve(Connections::new(Port::Probes, PROBE_CONNECTIONS));

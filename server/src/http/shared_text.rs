@@ -85,6 +85,6 @@ mod tests {
         for asked in asking {
             assert_ne!(asked.await.expect("no panic"), before, "an old text");
         }
-        assert!(made.load(Ordering::SeqCst) < 10, "{made:?} texts were made for 51 who asked");
+        assert!(made.load(Ordering::SeqCst) < 10, "{made:?} texts were made for 51 requests");
     }
 }

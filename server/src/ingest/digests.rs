@@ -176,7 +176,7 @@ mod tests {
         assert_eq!(digests.status(), Some(status), "the writer is not compared with itself");
         digests.made(done(3, 6));
         digests.begin(4);
-        assert_eq!(digests.owed(), None, "the writer before could not say it, and the log goes on");
+        assert_eq!(digests.owed(), None, "the previous writer did not record it, and the log continues");
         // The previous writer has already logged it.
         digests.read(done(4, 7));
         digests.made(done(4, 7));

@@ -57,8 +57,8 @@ pub(crate) enum IntakeError {
     #[error("first_sequence {got} leaves a gap: {expected} is the next sequence number of this stream")]
     OutOfSequence { got: u64, expected: u64 },
     #[error(
-        "observations {first} to {last} are not those that were taken with these numbers before: a sequence number \
-         names one observation for ever. Nothing was counted twice; number new observations from {next}"
+        "observations {first} to {last} differ from those that were accepted with these numbers before: a sequence \
+         number identifies one observation for ever. Nothing was counted twice; number new observations from {next}"
     )]
     DataMismatch { first: u64, last: u64, next: u64 },
 }
@@ -456,7 +456,7 @@ fn refuse(
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
         Some(_) if shares.is_some() => (RefusalReason::Value, shares.and_then(invalid_shares).unwrap_or_default()),
         Some(entry) if entry.is_label() => {
-            let text = format!("value {value} of a label is not 1: send only the label that holds, or a share of each");
+            let text = format!("value {value} of a label is not 1: send only the true label, or a share of each");
             (RefusalReason::Value, text)
         }
         Some(entry) => match position.and_then(|position| position.invalid_coordinate()) {

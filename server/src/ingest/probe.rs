@@ -124,8 +124,8 @@ mod tests {
         questions.recv().await.expect("a question");
         probed.answer();
         assert!(answer.await.expect("no panic"));
-        assert!(asked.is_alive().await, "it has just answered");
-        assert!(questions.try_recv().is_err(), "and is not asked again");
+        assert!(asked.is_alive().await, "it has just responded");
+        assert!(questions.try_recv().is_err(), "and is not probed again");
 
         let [silent, paused, ended] = [(); 3].map(|()| probe());
         paused.1.pause(true);

@@ -441,7 +441,7 @@ impl Writer {
             Ending::MapDeleted => "the map was deleted",
             Ending::Erasure => "something is erased from the map: start the update again",
             Ending::Forked { .. } => "the log of the map and the shared log differ",
-            Ending::Replaced => "a copy of another daemon's map takes the place of the map",
+            Ending::Replaced => "a copy of another daemon's map replaces the map",
             _ => "the daemon is stopping",
         };
         // Commands after the stop get a reply, but are not executed.
@@ -468,7 +468,7 @@ impl Writer {
         if let Some(snapshot) = self.saves.take_unsaved().filter(may_save) {
             let span = checkpoint_span(&self.map.spec().name, &snapshot);
             if let Err(error) = self.context.store.save(self.id, &snapshot) {
-                span.fail("not saved: the log says why");
+                span.fail("not saved: the log has the reason");
                 warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
             }
         }

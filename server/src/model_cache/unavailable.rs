@@ -36,8 +36,8 @@ pub(crate) enum ModelUnavailable {
     #[error("it was never observed at the same time as a position of that vector: send both with equal times")]
     NoPlaces,
     #[error(
-        "the raster has {bins} cells times directions, and at most {max} are possible: take larger cells, a smaller region \
-         or fewer directions"
+        "the raster has {bins} cells times directions, and at most {max} are possible: use larger cells, a smaller \
+         region or fewer directions"
     )]
     RasterTooLarge { bins: f64, max: usize },
     #[error("nobody was detected in the region; {elsewhere} detections with a direction lie elsewhere")]

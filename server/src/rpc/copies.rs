@@ -80,7 +80,7 @@ impl PeerService for PeerCalls {
 
     async fn fetch_map(&self, request: Request<v1::FetchMapRequest>) -> RpcReply<Self::FetchMapStream> {
         let id = self.map_to_give(request.get_ref().uid).map_err(RpcError::from)?;
-        let busy = |_| Status::resource_exhausted("this daemon gives other copies: ask again later");
+        let busy = |_| Status::resource_exhausted("this daemon sends other copies: try again later");
         let permit = Arc::clone(&self.copies).try_acquire_owned().map_err(busy)?;
         let (parts, stream) = mpsc::channel(PARTS_AHEAD);
         let catalog = Arc::clone(&self.catalog);

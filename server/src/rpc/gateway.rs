@@ -277,7 +277,7 @@ impl ClusterGateway {
     async fn place(&self, address: &str, has_token: bool, deadline: tokio::time::Instant) -> Result<PeerPlace, String> {
         match tokio::time::timeout_at(deadline, self.links.place(address, has_token)).await {
             Ok(place) => place.map_err(|error| error.to_string()),
-            Err(_) => Err(format!("{address} does not answer")),
+            Err(_) => Err(format!("{address} does not respond")),
         }
     }
 

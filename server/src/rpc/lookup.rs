@@ -181,7 +181,7 @@ pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Resu
     if (low[0]..=high[0]).contains(&at_m[0]) && (low[1]..=high[1]).contains(&at_m[1]) {
         return Ok(());
     }
-    let area = if spec.extent.is_some() { "the extent of the grid" } else { "what was observed of the grid" };
+    let area = if spec.extent.is_some() { "the extent of the grid" } else { "the observed part of the grid" };
     let (low_m, high_m) = ([low[0], low[1]], [high[0], high[1]]);
     Err(Problem::Outside { at_m, area, low_m, high_m }.of(field))
 }

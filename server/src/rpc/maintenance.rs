@@ -388,6 +388,6 @@ mod tests {
             refused.code_and_reason().1 == "BACKUP_FOLDER" && refused.message().contains("backup_dir"),
             "{refused}"
         );
-        assert!(Maintenance::check_any_folder("/srv/backup", None).is_err(), "nobody knows from where");
+        assert!(Maintenance::check_any_folder("/srv/backup", None).is_err(), "the origin is unknown");
     }
 }

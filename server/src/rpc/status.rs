@@ -85,8 +85,8 @@ pub(crate) enum RpcError {
     #[error(transparent)]
     Backup(#[from] BackupError),
     #[error(
-        "this daemon has no folder for the backups that others ask for: name an absolute one in its setting backup_dir, \
-         and a folder below it in the request"
+        "this daemon has no folder for the backups that others request: name an absolute one in its setting \
+         backup_dir, and a folder below it in the request"
     )]
     NoBackupFolder,
     #[error(transparent)]
@@ -159,7 +159,7 @@ pub(crate) enum RpcError {
     #[error("the daemon is stopping; connect again later")]
     Stopping,
     #[error("{}", match .0 {
-        Denial::Missing => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file, Python token=)",
+        Denial::Missing => "this daemon requires a token: send `authorization: Bearer TOKEN` (tidemap --token-file, Python token=)",
         Denial::Unknown => "the token is not valid here, or was revoked",
         Denial::Expired => "the token has expired: ask an admin for a new one (tidemapd token create)",
     })]
@@ -213,12 +213,12 @@ fn ending_text(ending: &Ending) -> String {
         Ending::Erasure => "something is being erased from the map; connect again".to_owned(),
         Ending::Superseded => "another stream of the same producer and label took over".to_owned(),
         Ending::Unanswered => "another stream of the same producer and label took over, because this one did not \
-                               answer a probe within two seconds"
+                               respond to a probe within two seconds"
             .to_owned(),
         Ending::MapDeleted => "the map was deleted".to_owned(),
         Ending::Moved { writer: None } => "another daemon writes the map; connect again".to_owned(),
         Ending::Moved { writer: Some(writer) } => format!("{writer} writes the map; connect again"),
-        Ending::Replaced => "a copy of another daemon's map takes the place of the map; connect again".to_owned(),
+        Ending::Replaced => "a copy of another daemon's map replaces the map; connect again".to_owned(),
         Ending::Forked { .. } => {
             "the log of the map and the one that daemons share differ: this daemon does not serve \
                                   the map; connect to another"

@@ -87,11 +87,11 @@ const SHARES: [(&str, Share, usize); 11] = [
     ("requests as JSON beyond 64 KiB", Share::LargeJson, 1),
     ("bytes of large requests that arrive", Share::LargeBytes, MIB),
     ("streams of observations", Share::Streams, 1),
-    ("streams that have not said hello", Share::Hellos, 1),
+    ("streams that have not sent hello", Share::Hellos, 1),
     (HALVED_POOL, Share::TableBytes, MIB),
     ("watches of anomalies", Share::Watches, 1),
     ("trained models that evaluations hold", Share::TrainedModels, 1),
-    ("updates that were asked for and have not ended", Share::Updates, 1),
+    ("updates that were requested and have not ended", Share::Updates, 1),
 ];
 
 /// A row that other tests fill: its pool, the test, and the file of the test.

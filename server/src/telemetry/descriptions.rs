@@ -21,8 +21,8 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_denied_total", "Requests refused for lack of a token, role or map, by reason"),
     ("tidemap_foreign_requests_total", "HTTP requests refused because a page of another origin sent them"),
     ("tidemap_revoked_requests_total", "Requests that ended because their token was revoked"),
-    ("tidemap_reloads_total", "Files of tokens or certificates that were read again, by what"),
-    ("tidemap_reload_failures_total", "Files of tokens or certificates that could not be read again, by what"),
+    ("tidemap_reloads_total", "Files of tokens or certificates that were read again, by kind"),
+    ("tidemap_reload_failures_total", "Files of tokens or certificates that could not be read again, by kind"),
     ("tidemap_model_cache_hits_total", "Requests for trained models that the cache answered"),
     ("tidemap_model_cache_misses_total", "Requests for models that had to be trained"),
     ("tidemap_connections_displaced", "Connections that made room for others, by port"),
@@ -38,8 +38,8 @@ const COUNTERS: &[(&str, &str)] = &[
     ),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
     ("tidemap_tls_handshakes_failed_total", "TLS handshakes that failed, for example of clients without a certificate"),
-    ("tidemap_backups_total", "Backups made, scheduled or asked for"),
-    ("tidemap_backup_failures_total", "Backups that failed, scheduled or asked for"),
+    ("tidemap_backups_total", "Backups made, scheduled or requested"),
+    ("tidemap_backup_failures_total", "Backups that failed, scheduled or requested"),
     (
         "tidemap_cluster_digests_equal_total",
         "Updates that have made the same bits as the writer's; only of maps whose log daemons share",
@@ -54,7 +54,7 @@ const COUNTERS: &[(&str, &str)] = &[
     ),
     (
         "tidemap_cluster_healed_records_total",
-        "Records appended to a shared log again, because the engine had forgotten them",
+        "Records appended to a shared log again, because the engine had lost them",
     ),
     ("tidemap_cluster_takeovers_total", "Times that this daemon began to write a map whose log daemons share"),
     (
@@ -64,12 +64,12 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_cluster_passed_requests_total", "Requests passed on to the daemon that writes the map"),
     (
         "tidemap_cluster_pass_failures_total",
-        "Requests that could not be passed on: the writer was not known, did not answer, or was lost meanwhile",
+        "Requests that could not be passed on: the writer was not known, did not respond, or was lost meanwhile",
     ),
-    ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
+    ("tidemap_spans_exported_total", "Spans that the collector of traces has accepted; with otlp_endpoint only"),
     (
         "tidemap_spans_dropped_total",
-        "Spans dropped because the collector did not take them in time; with otlp_endpoint only",
+        "Spans dropped because the collector did not accept them in time; with otlp_endpoint only",
     ),
 ];
 
@@ -136,12 +136,12 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_updates_waiting_turn", "Updates that wait for their turn among those of other maps"),
     (
         "tidemap_waiting_rows",
-        "Rows of changes or events that an update has left to the next, because they stand for too many readings",
+        "Rows of changes or events that an update has left to the next, because they mean too many readings",
     ),
-    ("tidemap_job_progress_ratio", "Progress of the running update that has done least, 0 to 1; 1 if none runs"),
+    ("tidemap_job_progress_ratio", "Progress of the running update with the least progress, 0 to 1; 1 if none runs"),
     ("tidemap_log_bytes", "Size of the logs"),
     ("tidemap_checkpoint_bytes", "Size of the checkpoints"),
-    ("tidemap_disk_full", "1 if the disk was full lately"),
+    ("tidemap_disk_full", "1 if the disk was full recently"),
     ("tidemap_disk_free_bytes", "Free space of the disk with the data folder"),
     ("tidemap_disk_size_bytes", "Size of the disk with the data folder"),
     ("tidemap_index_unavailable", "1 if the index cannot be used; everything else works"),
@@ -152,7 +152,7 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_backup_interval_seconds", "Time from one scheduled backup to the next; with a schedule"),
     (
         "tidemap_producer_silent_seconds",
-        "Time since a producer was heard, of those heard within 7 days that are silent for longest",
+        "Time since the last message of a producer, of those that sent within 7 days and are silent for longest",
     ),
     (
         "tidemap_cluster_maps",
@@ -162,23 +162,23 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_cluster_maps_followed", "Maps of the cluster that this daemon holds and does not write"),
     (
         "tidemap_cluster_replicas_in_trouble",
-        "Maps of the cluster that this daemon holds and that `tidemap cluster status` names as in trouble on it",
+        "Maps of the cluster that this daemon holds and that `tidemap cluster status` lists as in trouble on it",
     ),
     (
         "tidemap_cluster_lag_records",
-        "Records of a shared log that this daemon has heard of and does not have yet, of the map where they are the most",
+        "Records of a shared log that this daemon knows of and does not have yet, of the map where they are the most",
     ),
     (
         "tidemap_cluster_heard_age_seconds",
-        "Time since this daemon heard where a shared log ends, of the map where it is longest; +Inf if it never did",
+        "Time since this daemon received the end of a shared log, of the map where it is longest; +Inf if it never did",
     ),
     ("tidemap_cluster_members", "Members of the cluster as this daemon sees them, by state: alive or gone"),
-    ("tidemap_cluster_engine_unavailable", "1 if the engine of the cluster does not answer this daemon"),
+    ("tidemap_cluster_engine_unavailable", "1 if the engine of the cluster does not respond to this daemon"),
     (
         "tidemap_cluster_forks",
         "Forks that are set aside on this daemon, by groups of records: 1, or more, which is FORKED",
     ),
-    ("tidemap_build_info", "1; the labels say version and commit of the daemon, and the identity of its data folder"),
+    ("tidemap_build_info", "1; the labels have version and commit of the daemon, and the identity of its data folder"),
     ("tidemap_fdatasyncs", "Calls of fdatasync since the start"),
     ("tidemap_fdatasync_p50_secs", "Median of the last fdatasync calls, seconds"),
     ("tidemap_fdatasync_p99_secs", "99th centile of the last fdatasync calls, seconds"),

@@ -146,14 +146,14 @@ const LINKS: [(&str, &str, &[Parameter], &str); 2] = [
     (
         "/api/v1/maps/{name}/grid.png",
         "The grid of a map as it is predicted at a time, as a picture with one pixel for each column of cells. Its \
-         headers `tidemap-lower-left-m` and `tidemap-metres-per-pixel` say where it lies.",
+         headers `tidemap-lower-left-m` and `tidemap-metres-per-pixel` give its position.",
         PICTURE_PARAMETERS,
         "image/png",
     ),
     (
         "/api/v1/maps/{name}/topology.geojson",
-        "The nodes and edges of a map with what is predicted of them at a time. Coordinates are metres in the frame of \
-         the map.",
+        "The nodes and edges of a map with their predictions for a time. Coordinates are metres in the frame of the \
+         map.",
         TOPOLOGY_PARAMETERS,
         "application/geo+json",
     ),
@@ -182,7 +182,7 @@ fn all_parameters(parts: impl IntoIterator<Item = Value>, parameters: &[Paramete
 /// The response to a request that has no other response.
 fn error() -> Value {
     json!({
-        "description": "The request was refused or failed; `error.message` says why.",
+        "description": "The request was refused or failed; `error.message` has the reason.",
         "content": { "application/json": { "schema": reference("Error") } },
     })
 }
@@ -218,21 +218,21 @@ fn recordings() -> Value {
     let [producer, bytes] = recordings::PARAMETERS;
     let mut post = operation(
         "Imports a recording of a robot, as `tidemap import` does: MCAP, a bag of ROS 1, or a database of rosbag2. The \
-         map is created if it does not exist. The same file again, under the same name, sends what is missing. Who asks \
-         may send observations of the map, and create it if it does not exist. One recording is imported at a time; the \
-         import ends when the connection does.",
+         map is created if it does not exist. The same file again, under the same name, sends what is missing. The \
+         caller must have the permission to send observations of the map, and to create it if it does not exist. One \
+         recording is imported at a time; the import ends when the connection does.",
         std::slice::from_ref(producer),
         (
             "application/x-ndjson",
             "One object a line: `line`, a text; `progress`, with the `seconds` since the import began; at the end \
-             `done` and `exit`, which is 0 if all was taken, or `error`.",
+             `done` and `exit`, which is 0 if all was accepted, or `error`.",
         ),
     );
     post["requestBody"] = json!({ "required": true, "content": { "application/octet-stream": {} } });
     let get = operation(
-        "Says whether a recording would be taken now. Ask before you send a large one.",
+        "Checks whether a recording would be accepted now. Call it before you send a large one.",
         &[*producer, *bytes],
-        ("application/json", "It would be taken: `mapExists`, the `file` as it is named, and `maxUploadBytes`."),
+        ("application/json", "It would be accepted: `mapExists`, the `file` as it is named, and `maxUploadBytes`."),
     );
     json!({ "get": get, "post": post })
 }
@@ -249,7 +249,7 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
             paths.insert(path, json!({ "post": operation(&method) }));
         }
     }
-    tags.push(json!({ "name": "Links", "description": "What people link to." }));
+    tags.push(json!({ "name": "Links", "description": "Pictures and files for links." }));
     for (path, text, parameters, media) in LINKS {
         paths.insert(path.to_owned(), json!({ "get": link(text, parameters, media) }));
     }
@@ -263,8 +263,8 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
             "required": ["code", "message"],
             "properties": {
                 "code": { "type": "string", "description": "The name of the gRPC code." },
-                "reason": { "type": "string", "description": "What happened, for programs." },
-                "message": { "type": "string", "description": "What is wrong, and what to do." },
+                "reason": { "type": "string", "description": "The reason, for programs." },
+                "message": { "type": "string", "description": "The problem, and what to do." },
                 "details": { "type": "object", "additionalProperties": { "type": "string" } },
             },
         } },
@@ -320,6 +320,6 @@ mod tests {
             let operation = if path["post"].is_object() { &path["post"] } else { &path["get"] };
             operation["description"].is_null()
         });
-        assert_eq!(without.count(), 0, "each method says what it does");
+        assert_eq!(without.count(), 0, "each method has a description");
     }
 }

@@ -71,7 +71,7 @@ pub(super) const PARAMETERS: &[Parameter; 2] = &[
     },
     Parameter {
         name: "bytes",
-        description: "With GET: size of the file, to learn whether there is room for it.",
+        description: "With GET: size of the file, to check whether there is room for it.",
         example: "1000000",
     },
 ];

@@ -126,10 +126,10 @@ fn operation(path: &str, method: &str, operation: &Value) -> String {
     };
     let takes = of_content(&operation["requestBody"]["content"]).join(", ");
     let gives = of_content(&operation["responses"]["200"]["content"]).join(", ");
-    let takes = if takes.is_empty() { takes } else { format!("<p>Takes {takes}.</p>\n") };
+    let takes = if takes.is_empty() { takes } else { format!("<p>Request body: {takes}.</p>\n") };
     let (method, path) = (method.to_uppercase(), escaped(path));
     format!(
-        "<details><summary><code>{method} {path}</code></summary>\n{}{takes}{}<p>Gives {gives}.</p>\n</details>\n",
+        "<details><summary><code>{method} {path}</code></summary>\n{}{takes}{}<p>Response: {gives}.</p>\n</details>\n",
         paragraph(operation),
         table(&parameters),
     )

@@ -51,8 +51,8 @@ const ONE_OF_TWO: &str = "move the folder of one of the two maps out of the data
 const BY_CUT: &str =
     "restore the folder of this map from a backup that has more; or start the daemon, which cuts them off";
 const BY_REPAIR: &str = "run the check with --repair, which loses nothing";
-const BY_ACCEPTING: &str = "restore it from a backup of this folder; or, to go on without what is lost, run the check \
-                            with --accept-loss, which records the loss";
+const BY_ACCEPTING: &str = "restore it from a backup of this folder; or, to continue without what is lost, run the \
+                            check with --accept-loss, which records the loss";
 const BY_DISK: &str = "it may be sound: free some space, or check the disk and the permissions; nothing is lost";
 const BY_START: &str = "start the daemon, which makes it again from the checkpoints; nothing is lost";
 
@@ -317,7 +317,7 @@ impl Check<'_> {
                 self.checked.files += 1;
                 let problem = match check_total(&*self.disk, &path) {
                     Ok(total) if total == (file.length, file.total_crc) => continue,
-                    Ok(_) => "it is another file than the list says".to_owned(),
+                    Ok(_) => "it is not the file that the list names".to_owned(),
                     Err(problem) => problem.into(),
                 };
                 let disk = Arc::clone(&self.disk);
@@ -487,7 +487,7 @@ impl Check<'_> {
         let of_map = |(map, found): (&MapId, &Result<RowsState, ReadFailure>)| match found {
             Err(failure) => Some(failure.clone()),
             Ok(RowsState::Nothing) if indexed.contains(map) => {
-                Some(ReadFailure::Damaged(format!("it holds nothing of map number {}", map.0)))
+                Some(ReadFailure::Damaged(format!("it has nothing of map number {}", map.0)))
             }
             // A save that was cut off is completed by the next start.
             Ok(_) => None,

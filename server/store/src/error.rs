@@ -59,7 +59,7 @@ pub enum OpenError {
     /// A list of what must exist is missing or damaged, and it is not proven that all is there.
     #[error(
         "{} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost with it. Stop the \
-         daemon and run tidemapd check, which says what to do",
+         daemon and run tidemapd check, which shows what to do",
         shown(.file)
     )]
     ListLost { file: PathBuf, problem: String },
@@ -98,7 +98,7 @@ pub enum StoreError {
     /// A list of what must exist is missing or damaged; a new one would hide what is lost.
     #[error(
         "{} is lost: {problem}. Nothing is written that would hide what is lost. Stop the daemon and run tidemapd \
-         check, which says what to do",
+         check, which shows what to do",
         shown(.file)
     )]
     ListLost { file: PathBuf, problem: String },
@@ -198,7 +198,7 @@ pub enum EraseError {
     NotErasable(#[from] NotErasable),
     /// Nothing is changed, because scans cannot be taken out of a grid.
     #[error(
-        "{} scans of the grid, which cannot be taken out of it. Name a state: its observations can be erased. To erase \
+        "{} scans of the grid, which cannot be removed from it. Name a state: its observations can be erased. To erase \
          the grid, delete the map",
         producer.as_ref().map_or_else(|| "the map has".to_owned(), has_sent)
     )]
@@ -271,8 +271,8 @@ impl fmt::Display for Repair {
             }
             Repair::CheckpointNotRead { file, reason } => write!(
                 f,
-                "did not use the checkpoint {}, which the disk does not give: {reason}. It may be sound and stays where \
-                 it is; an older one or the log is used",
+                "did not use the checkpoint {}, which cannot be read from the disk: {reason}. It may be sound and \
+                 stays where it is; an older one or the log is used",
                 shown(file)
             ),
             Repair::IndexSetAside { folder, reason } => {

@@ -129,7 +129,7 @@ impl Round<'_> {
             let known = (listed.length, listed.total_crc);
             self.look(&file, |round| match round.total(&file) {
                 Ok(total) if total == known => Ok(()),
-                Ok(_) => Err("it is another file than the list says".to_owned()),
+                Ok(_) => Err("it is not the file that the list names".to_owned()),
                 Err(problem) => Err(problem),
             })?;
             self.forget_unless(&file, history.listed().is_ok_and(|list| list.files.contains(&listed)));

@@ -62,9 +62,9 @@ impl fmt::Display for Trouble {
                 let file = file.display();
                 write!(
                     f,
-                    "{file} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost with \
-                     it, and what it covers is refused. Restore it from a backup of this folder; or stop the daemon and \
-                     run tidemapd check, which says what is lost and how to go on without"
+                    "{file} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost \
+                     with it, and what it covers is refused. Restore it from a backup of this folder; or stop the \
+                     daemon and run tidemapd check, which shows what is lost and how to continue without it"
                 )
             }
             Trouble::NoIndex(reason) => write!(

@@ -22,7 +22,7 @@ fn check(ended: Ended, reason: Option<GoodbyeReason>, code: Code, words: &[&str]
     assert_eq!(found, reason, "{ended:?}");
     if let Some(goodbye) = &ended.goodbye {
         let message = ended.status.as_ref().map(|status| status.message());
-        assert_eq!(Some(goodbye.detail.as_str()), message, "Goodbye and status say the same");
+        assert_eq!(Some(goodbye.detail.as_str()), message, "Goodbye and status agree");
     }
     let status = ended.error();
     assert_eq!(status.code(), code, "{status:?}");

@@ -225,7 +225,7 @@ impl Sound {
             return Outcome::Reported;
         }
         for (expected, found) in self.answers.iter().zip(&answers) {
-            assert_eq!(found, expected, "{what}: other answers in silence");
+            assert_eq!(found, expected, "{what}: other replies without an error");
         }
         assert_eq!(answers.len(), self.answers.len(), "{what}: answers are missing");
         assert_eq!(histories.len(), self.histories.len(), "{what}: states are missing");

@@ -110,7 +110,7 @@ async fn durability_kill_at_chosen_system_calls() {
 /// The daemon starts without help and has all acknowledged observations.
 async fn check(launch: &Launch, what: &str, created: bool, oracle: &mut Oracle) {
     let daemon = launch.try_start().unwrap_or_else(|exit| panic!("{what}, the daemon does not start: {exit}"));
-    let maps = daemon.client().maps().await.expect("the daemon answers");
+    let maps = daemon.client().maps().await.expect("the daemon responds");
     if created || !maps.is_empty() {
         oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{what}: {violation}"));
     }

@@ -219,7 +219,7 @@ async fn a_part_that_cannot_be_erased_is_refused_in_words() {
         last = job;
     }
     assert_eq!(last.state, JobState::Failed);
-    for words in ["\"door\"", "cannot be learned anew", "Erase the state as a whole"] {
+    for words in ["\"door\"", "cannot be learned again", "Erase the state as a whole"] {
         assert!(last.error.contains(words), "{}", last.error);
     }
     assert_eq!(scoped.states("short", "").await.expect("listed").0[0].observations, 48);

@@ -49,7 +49,7 @@ pub(crate) fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
                 }
                 _ => return Err((index + 1, "an output block must stand directly behind a sh block".to_owned())),
             },
-            "" => return Err((index + 1, "the block does not say what it is".to_owned())),
+            "" => return Err((index + 1, "the block has no kind".to_owned())),
             _ => {}
         }
         follows = kind == "sh";

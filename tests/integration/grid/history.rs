@@ -72,7 +72,7 @@ async fn check(daemon: &Daemon, expected: &BTreeMap<String, Readings>, film: &Fi
 fn status(error: &Error) -> (Code, &str) {
     match error {
         Error::Server(error) => (error.code, &error.message),
-        other => panic!("the daemon should have said it: {other:?}"),
+        other => panic!("the daemon should have reported it: {other:?}"),
     }
 }
 

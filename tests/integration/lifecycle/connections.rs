@@ -131,6 +131,6 @@ async fn the_data_folder_and_the_socket_are_private_whatever_the_umask() {
     assert_eq!(local.maps().await.expect("served again").len(), 1);
     let other = Launch::on(&work.path().join("other")).setting("socket", socket.display());
     let exit = other.try_start().expect_err("the socket is taken");
-    assert!(exit.stderr.contains("another daemon answers there"), "{}", exit.stderr);
+    assert!(exit.stderr.contains("another daemon listens there"), "{}", exit.stderr);
     next.stop_in_order();
 }

@@ -61,7 +61,7 @@ async fn until_health(daemon: &Daemon, expected: ServingStatus) {
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    panic!("the health service does not say {expected:?}: {}", get(daemon, "/readyz").1);
+    panic!("the health service does not report {expected:?}: {}", get(daemon, "/readyz").1);
 }
 
 /// Starts a daemon on the folder. The daemon and a check must report the loss of this file everywhere.
@@ -236,7 +236,7 @@ async fn an_empty_folder_in_the_place_of_the_expected_one_is_refused() {
     create_map(&daemon, "office").await;
     let log = daemon.stop_in_order();
     let id = log.split("expect_store_id = \\\"").nth(1).or_else(|| log.split("expect_store_id = \"").nth(1));
-    let id = id.and_then(|rest| rest.get(..32)).unwrap_or_else(|| panic!("a new folder tells its id: {log}"));
+    let id = id.and_then(|rest| rest.get(..32)).unwrap_or_else(|| panic!("the log has the id of a new folder: {log}"));
     assert!(check(&data, &[]).1.contains(id));
     let expecting = Launch::on(&data).setting("expect_store_id", id);
     let log = expecting.start().stop_in_order();

@@ -95,7 +95,7 @@ async fn a_robot_that_restarts_takes_over_from_a_connection_that_hangs() {
     hangs.store(true, Ordering::SeqCst);
     // Observations that are on the way when the connection hangs come too late.
     old.send("door", 3_000, 1.0).await.expect("sent");
-    let mut new = impatient(&daemon.client()).await.expect("the old one does not answer");
+    let mut new = impatient(&daemon.client()).await.expect("the old one does not respond");
     assert_eq!(new.progress().durable_sequence, 2);
     new.send("door", 4_000, 0.0).await.expect("sent");
     new.flush().await.expect("durable");
@@ -121,7 +121,7 @@ async fn a_robot_that_restarts_takes_over_from_a_process_that_is_stopped() {
     }
     let pid = Pid::from_raw(i32::try_from(old.id()).expect("a number")).expect("a number");
     kill_process(pid, Signal::STOP).expect("stopped");
-    let mut new = impatient(&daemon.client()).await.expect("the old one does not answer");
+    let mut new = impatient(&daemon.client()).await.expect("the old one does not respond");
     let before = new.progress().durable_sequence;
     new.send("door", 1_736_200_000_000_000_000, 0.0).await.expect("sent");
     new.close().await.expect("durable");
@@ -151,7 +151,7 @@ async fn a_stream_that_does_not_answer_is_told_why_it_ends() {
     assert_eq!((goodbye.reason(), goodbye.durable_sequence), (GoodbyeReason::Superseded, 1));
     let status = ended.error();
     assert_eq!(status.code(), Code::Aborted);
-    assert!(status.message().contains("did not answer"), "{status:?}");
+    assert!(status.message().contains("did not respond"), "{status:?}");
     new.batch(2, columns(&["door"], &[(0, 3_000, 0.0)])).await;
     new.acknowledged(2).await.expect("taken");
     // The new one announced nothing: who comes now has to wait for its end.
@@ -169,7 +169,7 @@ async fn the_stream_that_was_silent_for_longest_makes_room() {
     producer.send("door", 1_000, 1.0).await.expect("sent");
     producer.flush().await.expect("durable");
     let (mut raw, _) = RawStream::open(&daemon.grpc, hello("raw", "office")).await.expect("a Welcome");
-    let refused = RawStream::open(&daemon.grpc, hello("third", "office")).await.expect_err("both were heard just now");
+    let refused = RawStream::open(&daemon.grpc, hello("third", "office")).await.expect_err("both are active");
     let status = refused.error();
     assert!(status.code() == Code::ResourceExhausted && status.message().contains("max_streams"), "{status:?}");
 
@@ -177,7 +177,7 @@ async fn the_stream_that_was_silent_for_longest_makes_room() {
     let (mut third, _) = loop {
         later += 1;
         raw.batch(later, columns(if later == 1 { &["raw"] } else { &[] }, &[(0, 1_000, 1.0)])).await;
-        raw.acknowledged(later).await.expect("one that is heard stays");
+        raw.acknowledged(later).await.expect("one that sends stays");
         match RawStream::open(&daemon.grpc, hello("third", "office")).await {
             Ok(opened) => break opened,
             Err(_) => tokio::time::sleep(Duration::from_millis(200)).await,

@@ -142,7 +142,7 @@ fn targets_from_wire(request: &v1::PlanDayRequest, selector: ModelSelector) -> R
     }
     if let Some(tour) = tour {
         if !(locations.is_empty() && viewpoints.is_empty()) {
-            return Err(InvalidField::new("tour", "ask for tours, locations or viewpoints, not for several"));
+            return Err(InvalidField::new("tour", "request tours, locations or viewpoints, not several of them"));
         }
         check_for_cells("model", selector)?;
         let tour = v1::PlanTourRequest { certainty: request.certainty, ..tour.clone() };
@@ -150,7 +150,7 @@ fn targets_from_wire(request: &v1::PlanDayRequest, selector: ModelSelector) -> R
     }
     if !viewpoints.is_empty() {
         if !locations.is_empty() {
-            return Err(InvalidField::new("locations", "ask for locations or for viewpoints, not for both"));
+            return Err(InvalidField::new("locations", "request locations or viewpoints, not both"));
         }
         check_for_cells("model", selector)?;
         let viewpoints = viewpoints.iter().map(viewpoint_from_wire).collect();

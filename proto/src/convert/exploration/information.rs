@@ -69,7 +69,7 @@ pub fn information_from_wire(request: v1::GetInformationRequest) -> Result<Infor
             InformationTargets::Named { states, locations }
         }
         Some(_) if has_names => {
-            return Err(InvalidField::new("region", "ask for a region in a request of its own"));
+            return Err(InvalidField::new("region", "request a region in a separate request"));
         }
         Some(region) => {
             check_for_cells("model", selector)?;

@@ -46,7 +46,7 @@ impl Parts {
     /// Appends the next part.
     pub(crate) fn join(&mut self, sequence: u64, utc_nanos: i64, part: Option<Content>) -> Result<(), ScanError> {
         if sequence != self.sequence {
-            let text = format!("{sequence}: scan {} goes on, and its next part has its number", self.sequence);
+            let text = format!("{sequence}: scan {} is unfinished, and its next part needs its number", self.sequence);
             return Err(InvalidField::new("scans.first_sequence", text).into());
         }
         if utc_nanos != self.utc_nanos {

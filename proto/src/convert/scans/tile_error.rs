@@ -8,7 +8,7 @@ use super::MASK_BYTES;
 
 /// Why a scan of tiles is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the fields are")]
+#[allow(missing_docs, reason = "the error texts name the fields")]
 pub enum TileError {
     #[error("new_tiles: {0} entries are not x, y, z of each tile")]
     Coordinates(usize),

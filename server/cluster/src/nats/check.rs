@@ -46,7 +46,7 @@ pub enum NatsCheckError {
         server: String,
     },
     /// A server does not accept messages as large as tidemap's.
-    #[error("nats-server {server} takes messages of at most {bytes} bytes: set `max_payload: 2MB`")]
+    #[error("nats-server {server} accepts messages of at most {bytes} bytes: set `max_payload: 2MB`")]
     Payload {
         /// The server's name.
         server: String,
@@ -149,8 +149,8 @@ pub async fn check(engine: &NatsEngine, require_synced: bool) -> Result<Vec<Engi
             Some(false) if require_synced => return Err(NatsCheckError::NotSynced { server: server.name.clone() }),
             None => tracing::warn!(
                 server = server.name,
-                "the engine's server does not say whether it writes to its disk before it acknowledges: let this account \
-                 ask {VARZ}, and set sync_interval: always"
+                "the engine's server does not report whether it writes to its disk before it acknowledges: let this \
+                 account request {VARZ}, and set sync_interval: always"
             ),
             _ => {}
         }

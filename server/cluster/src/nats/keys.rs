@@ -121,7 +121,7 @@ impl NatsEngine {
         while come < count {
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {
-                return Err(EngineError::Unknown(format!("{come} of {count} keys have come")));
+                return Err(EngineError::Unknown(format!("{come} of {count} keys have arrived")));
             }
             let batch = consumer.batch().max_messages(count - come).expires(left).messages().await;
             let mut messages = batch.map_err(|error| from_batch(&error))?;

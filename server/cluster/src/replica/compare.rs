@@ -148,7 +148,7 @@ impl<E: Engine> Driver<E> {
     pub(super) async fn part_at(&self, sequence: u64) -> Result<Option<GroupPart>, CompareError> {
         let message = self.engine.read(&self.settings.stream, sequence).await?;
         // The message was purged or forgotten meanwhile: the caller compares again.
-        let gone = || EngineError::Unavailable(format!("message {sequence} is gone"));
+        let gone = || EngineError::Unavailable(format!("message {sequence} no longer exists"));
         self.part(&message.ok_or_else(gone)?)
     }
 
@@ -179,7 +179,7 @@ impl<E: Engine> Driver<E> {
             let stream = &self.settings.stream;
             let messages = self.engine.read_from(stream, next, READ_BYTES, self.settings.patience).await?;
             if messages.first().is_none_or(|message| message.sequence != next) {
-                return Err(EngineError::Unavailable(format!("message {next} did not come")).into());
+                return Err(EngineError::Unavailable(format!("message {next} did not arrive")).into());
             }
             for message in messages.iter().filter(|message| message.sequence <= last) {
                 scan.take(message.sequence, self.part(message)?);

@@ -53,7 +53,7 @@ impl<E: Engine> Driver<E> {
                 map = %self.settings.key(), end = self.shared.log.end().position,
                 "FORKED: the own log of this daemon has records that the shared log does not have, and the shared log \
                  no longer has what they follow. The map's old folder, which is set aside, has these records. tidemap \
-                 cannot take them in"
+                 cannot add them to the map"
             );
         }
     }
@@ -80,20 +80,20 @@ impl<E: Engine> Driver<E> {
                     is_ahead = true;
                     self.role(ReplicaRole::Ahead);
                     self.trouble(Some(format!(
-                        "the shared log ends at position {} and has forgotten what this daemon holds up to {}",
+                        "the shared log ends at position {} and has lost the records that this daemon holds up to {}",
                         end.position,
                         self.shared.log.end().position
                     )));
                 }
                 Ok(Relation::Forked { common }) => return Next::Forked(common),
                 Ok(Relation::Behind { from, .. }) => self.trouble(Some(format!(
-                    "the shared log begins behind position {from}, and this daemon's log ends at {}, or differs before: it \
-                     needs a copy of another daemon's",
+                    "the shared log begins behind position {from}, and this daemon's log ends at {}, or differs \
+                     before: it needs a copy from another daemon",
                     self.shared.log.end().position
                 ))),
                 Ok(Relation::Unknown { end }) => self.trouble(Some(format!(
                     "the shared log ends at position {end}, and this daemon's log begins behind it: another daemon has \
-                     to append what the shared log has forgotten"
+                     to append what the shared log has lost"
                 ))),
                 Err(CompareError::Engine(EngineError::Missing(what))) => {
                     self.trouble(Some(format!("the engine has no {what}")));

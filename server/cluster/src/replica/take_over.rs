@@ -151,7 +151,7 @@ impl<E: Engine> Driver<E> {
         let mut groups = self.on_disk(open).await?;
         tracing::warn!(
             map = %self.settings.key(), from = end.position + 1, to = self.shared.log.position(),
-            "the shared log had forgotten records: they are appended again"
+            "the shared log had lost records: they are appended again"
         );
         loop {
             let (group, rest) = self.on_disk(move || (groups.next(), groups)).await;
@@ -213,7 +213,7 @@ impl<E: Engine> Driver<E> {
             })
             .await;
         let Some((written, synced, event)) = written else {
-            self.trouble(Some("this daemon's own log cannot be written: another one takes its place".to_owned()));
+            self.trouble(Some("this daemon's own log cannot be written: another daemon replaces it".to_owned()));
             self.let_others_write();
             return Ok(None);
         };

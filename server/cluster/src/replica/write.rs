@@ -92,7 +92,7 @@ impl<E: Engine> Driver<E> {
                 // The appends wait for the undo of the map's thread, or nothing was left to write.
                 Err(AppendError::AfterFailure) => None,
                 Err(error) => {
-                    self.trouble(Some(format!("another daemon takes this one's place: {error}")));
+                    self.trouble(Some(format!("another daemon replaces this one: {error}")));
                     self.let_others_write();
                     Some(Next::Follow)
                 }

@@ -77,7 +77,7 @@ pub enum NotErasable {
     Nothing,
     /// The history lacks observations of a state, so that the state cannot be learned anew.
     #[error(
-        "state {:?} cannot be learned anew without them, because {}. Erase the state as a whole, or only observations \
+        "state {:?} cannot be learned again without them, because {}. Erase the state as a whole, or only observations \
          from {} on, which no update has learned",
         state.as_str(), kept(*kept_from_nanos), format_rfc3339(*pending_from_nanos)
     )]

@@ -83,6 +83,6 @@ pub enum TopologyError {
     #[error("a map has at most {EDGES_MAX} edges, and a link is two of them")]
     TooManyEdges,
     /// All numbers are used up.
-    #[error("this map has given out all numbers for its nodes or edges")]
+    #[error("this map has used all numbers for its nodes or edges")]
     NumbersUsedUp,
 }

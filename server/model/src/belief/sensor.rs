@@ -16,7 +16,7 @@ impl Eq for StateSensor {}
 
 /// The error for probabilities that no sensor can have.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("a sensor with hit {hit} and false alarm {false_alarm}: it must hold 0 <= false alarm < hit <= 1")]
+#[error("a sensor with hit {hit} and false alarm {false_alarm}: it must satisfy 0 <= false alarm < hit <= 1")]
 pub struct InvalidStateSensor {
     hit: f64,
     false_alarm: f64,

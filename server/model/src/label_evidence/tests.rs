@@ -54,7 +54,7 @@ fn evidence_that_makes_no_sense_is_refused_by_name() {
     assert_eq!(refused(&[1.0; 65], &[1.0; 65], None), "65 labels, but there have to be 2 to 64");
     assert_eq!(refused(even, &[0.5], None), "the temporal prior has 1 values for 2 labels");
     assert_eq!(refused(even, even, Some(&[0.2; 3])), "the spatial prior has 3 values for 2 labels");
-    let everywhere = "the likelihood of every label is 0, so that no label explains what was observed";
+    let everywhere = "the likelihood of every label is 0, so that no label explains the observation";
     assert_eq!(refused(&[0.0, 0.0], even, None), everywhere);
     for wrong in [f64::NAN, f64::INFINITY, -0.1] {
         let likelihood = format!("the likelihood of label 1 is {wrong}, but has to be a finite number of at least 0");

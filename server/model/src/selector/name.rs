@@ -20,7 +20,7 @@ impl fmt::Display for ModelSelector {
 
 /// The reason why a text does not name a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the messages say what the fields are")]
+#[allow(missing_docs, reason = "the error texts name the fields")]
 pub enum InvalidModel {
     #[error(
         "{0:?} is not a model: use {names}, each optionally with +belief, +persistence or +memory",

@@ -20,7 +20,7 @@ pub(crate) fn refusal(time: i64) -> String {
         None => "is the robot's clock set?".to_owned(),
     };
     format!(
-        "time {time} ns is {secs} s after the beginning of 1970: {guess} A map whose clock is simulated takes times \
+        "time {time} ns is {secs} s after the beginning of 1970: {guess} A map whose clock is simulated accepts times \
          before 1990"
     )
 }

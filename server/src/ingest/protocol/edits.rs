@@ -29,20 +29,20 @@ pub(crate) enum NoRoom {
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     States { max: usize },
     #[error(
-        "{client} has added {max} states since the daemon opened the map, half of the room that there was, and the rest \
-         is for other clients: raise setting max_states_per_map"
+        "{client} has added {max} states since the daemon opened the map, half of the free places, and the \
+         rest is for other clients: raise setting max_states_per_map"
     )]
     StatesOfClient { client: String, max: usize },
     #[error("the map has {max} tiles, as many as setting max_tiles_per_map allows")]
     Tiles { max: usize },
     #[error(
-        "{client} has added {max} tiles since the daemon opened the map, half of the room that there was, and the rest \
-         is for other clients: raise setting max_tiles_per_map"
+        "{client} has added {max} tiles since the daemon opened the map, half of the free places, and the \
+         rest is for other clients: raise setting max_tiles_per_map"
     )]
     TilesOfClient { client: String, max: usize },
     #[error(
-        "the states of this map that report changes or events would stand for more than {max} readings a day: report \
-         this one with a longer step (--hold-step)"
+        "the states of this map that report changes or events would mean more than {max} readings a day: report this \
+         one with a longer step (--hold-step)"
     )]
     Readings { max: u64 },
 }

@@ -66,12 +66,12 @@ pub(crate) enum HelloError {
     TooManyProducers { max: usize },
     #[error(
         "{client} has introduced {max} producer keys of the map, as many as setting max_producers_per_client allows. \
-         tidemap producer forget frees the places of those that will not come back"
+         tidemap producer forget frees the places of those that will not return"
     )]
     TooManyOfClient { client: String, max: usize },
     #[error(
-        "producer {:?} with label {:?} was forgotten, and begins anew: open the stream with incarnation 0. Its sequence \
-         goes on after what it has sent", key.producer(), key.label()
+        "producer {:?} with label {:?} was forgotten, and begins anew: open the stream with incarnation 0. Its \
+         sequence continues after what it has sent", key.producer(), key.label()
     )]
     Forgotten { key: ProducerKey },
     #[error(transparent)]

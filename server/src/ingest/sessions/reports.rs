@@ -77,7 +77,7 @@ fn take(
     if *room < bytes {
         // Landmarks were added since the message was divided.
         let text =
-            "the reports of the message give too many observations: send this one again, in a message of its own";
+            "the reports of the message contain too many observations: send this one again, in a separate message";
         return Err((RefusalReason::StateLimit, text.to_owned()));
     }
     *room -= bytes;

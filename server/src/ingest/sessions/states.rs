@@ -153,7 +153,7 @@ fn used(
         {
             let (name, sent) = (name.as_str().chars().take(60).collect::<String>(), shape.states());
             let text = format!("state {name:?} has {labels} labels, not {sent}: send a share of each");
-            debug_assert_ne!(usize::from(labels), sent, "equal shapes are taken above");
+            debug_assert_ne!(usize::from(labels), sent, "equal shapes are accepted above");
             Err((RefusalReason::Value, text))
         }
         Some(found) => Ok(StreamState::OtherShape(name.clone(), found.shape, *said)),

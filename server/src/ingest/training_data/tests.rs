@@ -101,5 +101,5 @@ fn a_damaged_file_is_an_error_that_names_it() {
     let wanted = [ReadingsRequest { state: StateId(1), from_nanos: 0 }];
     let error = TrainingData::before(7, history.clone(), Vec::new()).readings(&wanted).expect_err("damaged");
     assert!(error.contains("00000000000000000002.states.tmh"), "{error}");
-    assert!(TrainingData::before(2, history, Vec::new()).readings(&wanted).is_ok(), "it is not asked for");
+    assert!(TrainingData::before(2, history, Vec::new()).readings(&wanted).is_ok(), "it is not requested");
 }

@@ -217,7 +217,7 @@ impl Writer {
                 Err(_) => Err(("saving panicked; this is a defect of tidemap".to_owned(), snapshot)),
             };
             if saved.is_err() {
-                span.fail("not saved: the log says why");
+                span.fail("not saved: the log has the reason");
             }
             span.end();
             // The store is released before the message, because a stop may be waiting for it.

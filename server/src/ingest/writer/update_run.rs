@@ -212,7 +212,7 @@ impl Context {
 fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
     let LateRowsOutcome { learned_anew, not_kept, beyond_bound, unreadable, failure } = outcome;
     if *learned_anew > 0 {
-        info!(%map, states = learned_anew, "states are learned anew, because rows of theirs came late");
+        info!(%map, states = learned_anew, "states are learned again, because some of their rows arrived late");
     }
     let singly = not_kept + beyond_bound + unreadable;
     if singly > 0 {
@@ -220,7 +220,7 @@ fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
         warn!(
             %map, states = singly, not_kept, beyond_bound, unreadable, reason,
             "late rows are learned as single readings: history does not keep all rows of their states, or one update \
-             learns no more states anew, or history cannot be read"
+             cannot learn more states again, or history cannot be read"
         );
     }
 }
@@ -348,7 +348,7 @@ impl Writer {
         info!(
             map = %self.map.spec().name, generation = snapshot.generation, waiting_rows = self.map.waiting_rows(),
             learned_to = format_rfc3339(rows_to_nanos),
-            "rows of changes or events stand for more readings than one update learns: another update follows"
+            "rows of changes or events mean more readings than one update learns: another update follows"
         );
         self.updates.go_on(DueUpdate { until_nanos: Some(snapshot.cut_nanos), cause, job: Arc::clone(job) });
     }

@@ -271,7 +271,7 @@ fn mark<T>(request: &mut tonic::Request<T>, at_least: Option<ReadToken>) {
 }
 
 fn shown(metadata: &tonic::metadata::MetadataMap) -> ReadToken {
-    ReadToken::of(metadata.as_ref(), &SHOWN).expect("a token").expect("the reply says what it shows")
+    ReadToken::of(metadata.as_ref(), &SHOWN).expect("a token").expect("the reply has what it shows")
 }
 
 /// Serves on a free port; returns its address.

@@ -305,7 +305,7 @@ mod tests {
         }
         first.set_unacknowledged(true);
         let fourth = streams.enter(&robot(4)).expect("a place before its hello");
-        assert!(!is_displaced(&second), "who has not said hello takes no place of others");
+        assert!(!is_displaced(&second), "a stream without hello takes no place of others");
         fourth.seat(OFFICE).expect("the second makes room");
         assert!(is_displaced(&second) && !is_displaced(&first) && !is_displaced(&third));
         fourth.set_unacknowledged(true);
@@ -319,7 +319,7 @@ mod tests {
     fn streams_in_use_are_left_alone() {
         let streams = streams((1, 1), Duration::from_secs(60));
         let first = seated(&streams, &robot(1), OFFICE).expect("room");
-        let error = seated(&streams, &robot(2), OFFICE).expect_err("the first was heard just now");
+        let error = seated(&streams, &robot(2), OFFICE).expect_err("the first has just sent something");
         assert!(error.to_string().contains("setting max_streams:"), "{error}");
         assert!(!is_displaced(&first));
         drop(first);

@@ -35,7 +35,7 @@ pub(super) async fn list_cell_alarms(
     let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));
     let (permit, selection) = crate::task::blocking(select).await?;
     let selection = selection.ok_or_else(no_grid)?;
-    check_limit("cells to look at", selection.cells, queries.max_predictions, "setting max_predictions")?;
+    check_limit("cells to examine", selection.cells, queries.max_predictions, "setting max_predictions")?;
     drop(permit);
     let permit = queries.permit_for(selection.cells).await?;
     Ok(compute_replies(vec![permit], move |sink| {

@@ -295,7 +295,7 @@ impl SubjectWork {
             let block: Vec<Sample> =
                 rows.by_ref().take(READINGS_PER_BLOCK).map(|(nanos, value)| make(nanos, value)).collect();
             *readings += block.len() as u64;
-            check_limit("readings that rows stand for", *readings, READINGS_MAX, "one evaluation")?;
+            check_limit("readings of rows", *readings, READINGS_MAX, "one evaluation")?;
             evaluator.add(subject, &block, own.clone(), others.clone(), stop)?;
             if block.len() < READINGS_PER_BLOCK {
                 return Ok(());

@@ -17,16 +17,16 @@ pub(crate) enum GatewayError {
     Moved { map: String, by: String },
     #[error("the connection to {member} broke before the reply had ended: try again")]
     Broke { member: String },
-    #[error("the time for the request was over before {member} had answered")]
+    #[error("the time for the request was over before {member} responded")]
     Late { member: String },
     #[error(
-        "this daemon has not heard where the log of map {map:?} ends for {} seconds, and its data may be old: try again, \
-         ask another daemon, or send the metadata tidemap-allow-stale: 1", .max.as_secs()
+        "this daemon has not received the end of the log of map {map:?} for {} seconds, and its data may be old: try \
+         again, use another daemon, or send the metadata tidemap-allow-stale: 1", .max.as_secs()
     )]
     Stale { map: String, max: Duration },
     #[error("the writer of map {map:?} does not have {wanted} yet, which the client has seen: try again")]
     Behind { map: String, wanted: ReadToken },
-    #[error("job {id} is not known here, and {member}, which may know it, cannot be reached: {why}. Try again")]
+    #[error("job {id} is not known here, and {member}, which may have it, cannot be reached: {why}. Try again")]
     JobAway { id: u64, member: String, why: String },
     #[error(transparent)]
     Token(#[from] InvalidReadToken),

@@ -37,7 +37,8 @@ pub(crate) enum Problem {
     #[error("{found} coordinates: the state has {expected}")]
     Coordinates { found: usize, expected: usize },
     #[error(
-        "{state:?} is an angle: densities are of single values; ask for its cosine or its sine, {state}/cos or {state}/sin"
+        "{state:?} is an angle: densities are of single values; request its cosine or its sine, {state}/cos or \
+         {state}/sin"
     )]
     NoDensity { state: String },
     #[error("{found} numbers: each place has {each}")]

@@ -157,10 +157,10 @@ impl Sending {
                 return true;
             }
             Ok(Err(error)) => error.to_string(),
-            Err(_) => format!("no answer within {} seconds", EXPORT_WITHIN.as_secs()),
+            Err(_) => format!("no response within {} seconds", EXPORT_WITHIN.as_secs()),
         };
         if self.failures == 0 {
-            warn!(error, "spans cannot be sent to otlp_endpoint: they are dropped and counted until it takes them");
+            warn!(error, "spans cannot be sent to otlp_endpoint: they are dropped and counted until it accepts them");
         }
         self.failures = self.failures.saturating_add(1);
         count_dropped(spans);

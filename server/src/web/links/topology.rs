@@ -38,7 +38,7 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
     Parameter {
         name: "object",
-        description: "Whose presence at the nodes: the states `node/N/OBJECT`. Default: the states N.",
+        description: "Object whose presence at the nodes is shown: the states `node/N/OBJECT`. Default: the states N.",
         example: "",
     },
 ];
@@ -114,7 +114,7 @@ impl PredictedNetwork {
 /// Converts an error of an RPC. A reply larger than [`REPLY_BYTES`] is an error of the transport.
 fn or_too_large(status: tonic::Status) -> Failure {
     if status.code() == Code::OutOfRange {
-        return Failure::TooLarge(format!("the topology has more than {REPLY_BYTES} bytes: ask for it over gRPC"));
+        return Failure::TooLarge(format!("the topology has more than {REPLY_BYTES} bytes: request it over gRPC"));
     }
     status.into()
 }
@@ -123,7 +123,7 @@ async fn ask(calls: &Calls<'_>, at: i64, object: &str) -> Result<PredictedNetwor
     let topology = calls.topology().await.map_err(or_too_large)?;
     if topology.nodes().len() == 0 {
         let map = calls.map;
-        let text = format!("map {map} has no nodes: tidemap topology load {map} FILE gives it some");
+        let text = format!("map {map} has no nodes: tidemap topology load {map} FILE adds them");
         return Err(Failure::Invalid(text));
     }
     let predicted = calls.edges(at).await.map_err(or_too_large)?;

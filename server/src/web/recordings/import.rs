@@ -93,7 +93,7 @@ pub(super) struct Import {
 /// The reason why an import did not end by itself.
 #[derive(Debug, thiserror::Error)]
 enum Stopped {
-    #[error("the sender is gone")]
+    #[error("the sender has disconnected")]
     Left,
     #[error("the daemon is stopping; the same file again sends what is missing")]
     Stopping,
@@ -248,7 +248,7 @@ fn limit(child: &Child, memory_bytes: u64, cpu_secs: u64) {
     ] {
         let limited = Rlimit { current: Some(current), maximum: Some(maximum) };
         if let Err(error) = prlimit(pid_raw, resource, limited) {
-            warn!(%error, what, "what an import takes is not limited");
+            warn!(%error, what, "the resources of an import are not limited");
         }
     }
     // If the system does not allow this, the daemon is in no worse state than without it.
@@ -293,8 +293,7 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
     }
     if let Some(signal) = status.signal() {
         let text = if signal == Signal::XCPU.as_raw() {
-            "the file takes more time of the processor than an import of its size has here: use tidemap import"
-                .to_owned()
+            "the file needs more processor time than an import of its size has here: use tidemap import".to_owned()
         } else {
             format!(
                 "the program that read the file was ended by signal {signal}: the file may need more memory than an \
@@ -377,7 +376,7 @@ mod tests {
             heard.extend_from_slice(&line);
         }
         let heard = String::from_utf8_lossy(&heard);
-        assert!(heard.contains("time of the processor") && heard.contains("tidemap import"), "{heard}");
+        assert!(heard.contains("processor time") && heard.contains("tidemap import"), "{heard}");
         assert_eq!((cpu_secs(2_000), cpu_secs(4 << 30)), (CPU_SECS, CPU_SECS + 16_384));
     }
 

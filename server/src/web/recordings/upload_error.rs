@@ -27,7 +27,7 @@ pub(super) enum UploadError {
     Bytes,
     #[error("map {map} does not exist, and this sender may not create it: {error}")]
     NotCreated { map: MapName, error: Box<RpcError> },
-    #[error("this daemon takes no recordings over HTTP (setting max_upload_bytes is 0): use tidemap import")]
+    #[error("this daemon accepts no recordings over HTTP (setting max_upload_bytes is 0): use tidemap import")]
     Off,
     #[error(
         "this daemon cannot read recordings, because the program tidemap is not beside it, at {}: use tidemap import",
@@ -38,7 +38,7 @@ pub(super) enum UploadError {
     Name(#[from] InvalidName),
     #[error("{0:?} is no name of a file: name the recording as it is called on its disk, such as drive.mcap")]
     FileName(String),
-    #[error("the name of the file has {bytes} bytes, and at most {max} are taken: send it under a shorter name")]
+    #[error("the name of the file has {bytes} bytes, and at most {max} are allowed: send it under a shorter name")]
     LongName { bytes: usize, max: usize },
     #[error("send the file as application/octet-stream")]
     MediaType,
@@ -59,7 +59,7 @@ pub(super) enum UploadError {
     #[error("nothing more of the file arrived for {secs} seconds: send it again")]
     Late { secs: u64 },
     #[error(
-        "the file arrives too slowly: it needs {kib_per_sec} KiB a second. Use tidemap import, which can go on later"
+        "the file arrives too slowly: it needs {kib_per_sec} KiB a second. Use tidemap import, which can continue later"
     )]
     Slow { kib_per_sec: u64 },
     #[error("the file has not arrived within {hours} hours: use tidemap import, or split the recording")]

@@ -24,7 +24,7 @@ use crate::{
     record_file::RecordWriter,
 };
 
-const NO_ORIGINS: Invalid = "it does not say who observed a state";
+const NO_ORIGINS: Invalid = "it does not name the producer of a state";
 
 enum WriteError {
     Io(std::io::Error),

@@ -94,7 +94,7 @@ fn each(
     for item in rows::items(kind, trees.of(kind).scan_prefix(map_key(map))) {
         let item = item?;
         if item.number >= limit {
-            return Err(format!("there are more rows in {} than the mark of their map says", kind.name()).into());
+            return Err(format!("there are more rows in {} than the mark of their map states", kind.name()).into());
         }
         sums.resize(item.number as usize, Sum::default());
         sums.push(item.sum);

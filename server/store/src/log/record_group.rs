@@ -53,7 +53,7 @@ impl RecordGroup {
             events.push((frame.header.position, frame.event()?));
         }
         if (cursor.position, cursor.chain) != (self.after.position + 1, self.after.chain) || events.is_empty() {
-            return Err("the group does not end where it says");
+            return Err("the group does not end at its stated position");
         }
         Ok(events)
     }

@@ -141,7 +141,7 @@ pub(crate) fn read(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Re
     let newest = segment_path(folder, segments.last().copied().unwrap_or(1));
     let cursor = cursor.ok_or_else(|| corrupt(&newest, 0, replay_from, "there is no segment"))?;
     if cursor.position <= expected.known {
-        let reason = format!("the log ends here, but a checkpoint or the index knows record {}", expected.known);
+        let reason = format!("the log ends here, but a checkpoint or the index has record {}", expected.known);
         return Err(corrupt(&newest, cursor.offset, cursor.position, reason));
     }
 

@@ -11,7 +11,7 @@ use super::{
     varint::{push_varint, take_varint, unzigzag, zigzag},
 };
 
-pub(super) const LENGTH: Invalid = "a column does not have the length that its count asks for";
+pub(super) const LENGTH: Invalid = "a column does not have the length that its count requires";
 
 fn all_equal<T: PartialEq>(items: &[T]) -> bool {
     items.windows(2).all(|pair| pair[0] == pair[1])

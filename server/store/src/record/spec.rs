@@ -177,7 +177,7 @@ mod tests {
         assert_eq!(message.encode_to_vec(), bytes);
         assert_eq!(decode_shown(Some(&message)), Ok(shown));
         assert_eq!(encode_shown(&CellBox::default()), None);
-        assert_eq!(decode_shown(None), Ok(CellBox::default()), "records from before say nothing");
+        assert_eq!(decode_shown(None), Ok(CellBox::default()), "older records have no value");
         let cut = layout::CellBox { min: vec![1, 2], max: vec![3, 4, 5] };
         assert!(decode_shown(Some(&cut)).is_err());
     }

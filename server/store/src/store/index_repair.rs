@@ -35,7 +35,7 @@ impl IndexState {
     pub(super) fn of(rows: Result<RowsState, ReadFailure>, newest: Option<&MapSnapshot>) -> IndexState {
         match rows {
             Ok(RowsState::Nothing) if newest.is_none() => IndexState::Good,
-            Ok(RowsState::Nothing) => IndexState::Stale("it held nothing of this map"),
+            Ok(RowsState::Nothing) => IndexState::Stale("it had nothing of this map"),
             Ok(RowsState::Unfinished) => IndexState::Stale("it was being written when the process stopped"),
             Ok(RowsState::Whole { position, generation }) => {
                 match newest.map(|snapshot| (snapshot.position, snapshot.generation)) {
@@ -136,7 +136,7 @@ impl Store {
         // A map that is not open is written when it is opened.
         for (map, entry) in inner.entries().into_iter().filter(|(_, entry)| entry.log.is_some()) {
             if let Err(error) = inner.index_again(map, &entry, &mut repairs) {
-                tracing::warn!(map = map.0, %error, "the index holds nothing of a map until its next save");
+                tracing::warn!(map = map.0, %error, "the index has nothing of a map until its next save");
             }
         }
         let mut index = inner.index();

@@ -116,7 +116,7 @@ struct ArrivedNames(BTreeSet<String>);
 
 impl ArrivedNames {
     fn add(&mut self, name: &str) -> Result<(), CopyError> {
-        if self.0.insert(name.to_owned()) { Ok(()) } else { Err(invalid(name, "it comes twice")) }
+        if self.0.insert(name.to_owned()) { Ok(()) } else { Err(invalid(name, "it was sent twice")) }
     }
 
     fn count(&self, kind: CopiedFile) -> usize {

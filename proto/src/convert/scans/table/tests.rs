@@ -40,7 +40,7 @@ fn scans_are_sent_as_differences() -> Result<(), TileError> {
     assert_eq!((scan.seen, scan.observed_flips, scan.occupied_flips), (vec![1, 1], vec![], vec![513]));
     assert_ne!(other, first.digest);
     let back = table.encode(&[(tile(4), masks(&[0, 1, 511], &[511])), (tile(7), all)])?;
-    assert_eq!(back.digest, first.digest, "the digest says what is seen, not how it came to be");
+    assert_eq!(back.digest, first.digest, "the digest depends on what is seen, not on how it was made");
     Ok(())
 }
 

@@ -269,7 +269,7 @@ impl MapTask {
     }
 
     fn committed(&mut self, result: &Result<u64, AppendError>) {
-        let Some((event, reply)) = self.in_flight.pop_front() else { panic!("an answer to nothing") };
+        let Some((event, reply)) = self.in_flight.pop_front() else { panic!("a reply without a request") };
         match result {
             &Ok(position) => {
                 self.apply(position, &event);

@@ -72,7 +72,7 @@ fn appends_behind_a_failure_fail_with_it_and_in_order() {
     let failure = appends.fail(AppendError::DiskFull, first).expect("the failure");
     assert_eq!((failure.cause, failure.is_first, failure.is_newly_fatal), (AppendError::DiskFull, true, false));
     assert_eq!(generations(&failure.appends), [1, 3]);
-    assert!(!appends.end_failure(), "the second is not answered");
+    assert!(!appends.end_failure(), "the second gets no reply");
     let second = appends.pop().expect("in flight");
     let failure = appends.fail(AppendError::AfterFailure, second).expect("the failure");
     assert_eq!(

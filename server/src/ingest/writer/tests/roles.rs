@@ -111,7 +111,7 @@ async fn a_follower_takes_nothing_from_clients_and_shows_what_the_log_has() {
     replica.tell(elsewhere).await.expect("applied");
     assert_eq!((handle.position(), handle.generation(), handle.view().observations()), (2, 0, 3));
     assert_eq!(replica.marks().await[0].durable_sequence, 3);
-    assert!(feed.try_recv().is_ok(), "those who watch hear of it");
+    assert!(feed.try_recv().is_ok(), "the watchers are notified");
     replica.stop().await;
 }
 

@@ -191,7 +191,10 @@ impl Members {
             let says = shown(reply.metadata());
             let states = reply.into_inner().map.expect("a map").states;
             if !says.reaches(wanted) || states < wanted.position {
-                return Err(format!("{} shows {states} states and says {says}, and {wanted} was seen", NAMES[index]));
+                return Err(format!(
+                    "{} shows {states} states and reports {says}, and {wanted} was seen",
+                    NAMES[index]
+                ));
             }
             own = own.max(says);
             self.saw(says);

@@ -72,7 +72,7 @@ async fn the_writer_answers_for_a_map_that_is_being_opened() {
     *a.known.writer_of_held.lock().expect("not poisoned") = Some("b".to_owned());
     a.add_state("window").await.expect("the writer takes it");
     assert_eq!(b.handle().view().len(), 1, "it did not wait here");
-    assert_eq!(a.states(None).await.expect("the writer answers").0, ["window"]);
+    assert_eq!(a.states(None).await.expect("the writer responds").0, ["window"]);
     let unknown = a.predict(false, None).await.expect_err("the writer has no door");
     assert_eq!(reason(&unknown), (Code::NotFound, "UNKNOWN_STATE".to_owned()));
     assert_eq!(a.predict(true, None).await.expect("this daemon has one").generation, 1);

@@ -6,7 +6,7 @@ use super::*;
 async fn the_writer_does_what_a_follower_is_asked() {
     let (a, b) = Member::pair().await;
     let reply = a.add_state("door").await.expect("the writer takes it");
-    assert_eq!(shown(reply.metadata()), token(&b.handle(), b.handle().shown()), "the writer says what it shows");
+    assert_eq!(shown(reply.metadata()), token(&b.handle(), b.handle().shown()), "the writer has what it shows");
     assert_eq!(b.handle().view().len(), 1);
     assert_eq!(a.handle().view().len(), 0);
     let again = a.add_state("door/x").await.expect_err("no name of a state");
@@ -61,7 +61,7 @@ async fn a_map_that_is_not_held_is_asked_for_where_it_is() {
     assert_eq!(reason(&refused), (Code::NotFound, "UNKNOWN_MAP".to_owned()));
     c.known.writers.lock().expect("not poisoned").insert("office".to_owned(), "b".to_owned());
     c.add_state("door").await.expect("the writer takes it");
-    assert_eq!(c.states(None).await.expect("the writer answers").0, ["door"]);
+    assert_eq!(c.states(None).await.expect("the writer responds").0, ["door"]);
 }
 
 #[tokio::test]
@@ -76,7 +76,7 @@ async fn the_head_of_a_request_goes_with_it_and_ends_with_it() {
         request.metadata_mut().insert(name, value.parse().expect("a value"));
     }
     request.set_timeout(Duration::from_millis(500));
-    let late = a.maps().await.add_state(request).await.expect_err("nobody answers");
+    let late = a.maps().await.add_state(request).await.expect_err("no daemon responds");
     assert!(matches!(late.code(), Code::DeadlineExceeded | Code::Cancelled), "{late:?}");
     let head = heads_seen.recv().await.expect("it was passed on");
     for (name, value) in [
@@ -96,7 +96,7 @@ async fn the_head_of_a_request_goes_with_it_and_ends_with_it() {
     let asking = tokio::spawn(async move { client.add_state(new_state("door")).await });
     heads_seen.recv().await.expect("it was passed on");
     asking.abort();
-    has_left.recv().await.expect("the writer hears of it");
+    has_left.recv().await.expect("the writer receives it");
 }
 
 #[tokio::test]

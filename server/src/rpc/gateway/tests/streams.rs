@@ -98,7 +98,7 @@ async fn observations_through_another_daemon_are_taken_exactly_once() {
     let position = robot.acknowledged(ALL).await;
     assert_eq!(b.handle().view().observations(), ALL);
     let token = ReadToken { map_uid: 0, position, generation: 0 };
-    assert_eq!(a.states(Some(token)).await.expect("who has it answers").0, ["door"]);
+    assert_eq!(a.states(Some(token)).await.expect("the daemon that has it responds").0, ["door"]);
 }
 
 #[tokio::test]
@@ -108,13 +108,13 @@ async fn a_stream_of_replies_is_passed_on() {
     let mut request = tonic::Request::new(predict());
     mark(&mut request, Some(token));
     let mut client = QueryServiceClient::new(a.channel().await);
-    let mut replies = client.predict_states(request).await.expect("the writer answers").into_inner();
+    let mut replies = client.predict_states(request).await.expect("the writer responds").into_inner();
     let mut count = 0;
     while let Some(reply) = replies.message().await.expect("a reply") {
         count += reply.probabilities.len();
     }
     assert_eq!(count, 100);
-    let refused = client.predict_states(predict()).await.expect_err("a itself does not know the state");
+    let refused = client.predict_states(predict()).await.expect_err("daemon a itself does not have the state");
     assert_eq!(refused.code(), Code::NotFound);
 }
 

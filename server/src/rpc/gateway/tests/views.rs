@@ -36,7 +36,7 @@ async fn a_follower_answers_and_says_what_it_shows() {
     let (a, b) = Member::pair().await;
     b.add_state("elsewhere").await.expect("added");
     a.follow(1, &["door", "window"]).await;
-    let (states, shown) = a.states(None).await.expect("a answers");
+    let (states, shown) = a.states(None).await.expect("daemon a responds");
     assert_eq!((states, shown), (vec!["door".to_owned(), "window".to_owned()], at(2).expect("a token")));
     assert_eq!(a.states(at(2)).await.expect("it shows that").0, ["door", "window"]);
 }
@@ -69,7 +69,7 @@ async fn a_follower_that_stays_behind_asks_the_writer() {
     let (a, b) = Member::pair().await;
     b.add_state("door").await.expect("added");
     let seen = shown(b.add_state("window").await.expect("added").metadata());
-    let (states, shown) = a.states(Some(seen)).await.expect("the writer answers");
+    let (states, shown) = a.states(Some(seen)).await.expect("the writer responds");
     assert_eq!(states, ["door", "window"]);
     assert!(shown.reaches(seen), "{shown:?} {seen:?}");
     assert!(a.states(None).await.expect("without a token").0.is_empty());

@@ -100,7 +100,7 @@ async fn every_kind_answers_and_as_often_as_it_is_asked() {
         let one = one.expect("an answer");
         assert_eq!((two.expect("an answer"), three.expect("an answer")), (one.clone(), one.clone()), "{kind}");
         assert!(one.iter().all(|p| (0.0..=1.0).contains(p)), "{kind}: {one:?}");
-        assert!(one.iter().any(|p| *p != one[0]), "{kind} says the same at all times");
+        assert!(one.iter().any(|p| *p != one[0]), "{kind} predicts the same at all times");
         // T-RO eq. 13: with persistence it is the last value at the time of the last observation.
         let blended = bench.predict(&["door"], &times, wire(kind, true)).await.expect("an answer");
         assert_eq!(blended[0].probabilities[0], door(499..500)[0].1, "{kind}");

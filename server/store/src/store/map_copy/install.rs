@@ -135,7 +135,7 @@ impl MapCopy {
     /// [`CopyError`]; the copy cannot be used then.
     pub fn check(&mut self, total: CopyTotal) -> Result<(), CopyError> {
         if self.open.is_some() || self.arrived() != total {
-            return Err(invalid("", format!("{:?} was to come, and {:?} has", total, self.arrived())));
+            return Err(invalid("", format!("{:?} was expected, and {:?} arrived", total, self.arrived())));
         }
         let store = self.store.clone();
         let disk = &store.inner().disk;
