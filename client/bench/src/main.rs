@@ -51,7 +51,7 @@ enum BenchCommand {
     Lag(lag::LagArgs),
     /// Measures the predictions per second
     Predict(predict::PredictBenchArgs),
-    /// Measures the latencies of answers and refusals when more is asked than the daemon can answer
+    /// Measures the latencies of answers and refusals when more requests arrive than the daemon can answer
     Overload(overload::OverloadArgs),
     /// Measures the latency of planning a search
     Search(search::SearchBenchArgs),

@@ -33,7 +33,7 @@ pub(crate) struct AnomaliesArgs {
     /// Names of states, or patterns such as 'door-*'; none for all named states; with --model one name, or cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// How sure the model has to be of the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
+    /// Minimum confidence of the model in the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
     /// --watch. For other kinds of states: the confidence of the interval that a value has to lie outside of
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = number)]
     confidence: f64,

@@ -51,7 +51,7 @@ pub(crate) struct DayArgs {
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
     #[arg(long, conflicts_with_all = ["model", "views", "tours", "task_states"])]
     exactly_one: bool,
-    /// How the worth of a look is measured
+    /// Measure of the value of an observation
     #[arg(long, value_name = "MEASURE", default_value = "ral", conflicts_with_all = ["exactly_one", "views", "tours"])]
     information: MeasureArg,
     /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
@@ -77,7 +77,7 @@ pub(crate) struct DayArgs {
     /// Node where the robot is at first [default: that nearest to the charger, or of a task of the kind charge]
     #[arg(long, value_name = "NODE", requires = "tasks")]
     start_node: Option<String>,
-    /// From when on the robot is ready [default: the beginning of the day]
+    /// Time from which the robot is ready [default: the beginning of the day]
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "tasks")]
     ready: Option<i64>,
     /// Keeps the plan in the map, for plan show

@@ -95,7 +95,7 @@ pub(crate) struct SenderArgs {
     /// Runs the nightly update whenever the data passes the map's local midnight
     #[arg(long)]
     nightly: bool,
-    /// How long to keep trying when the daemon cannot be reached
+    /// Time to keep trying when the daemon cannot be reached
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration_or_none)]
     patience: i64,
 }

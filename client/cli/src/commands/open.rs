@@ -27,7 +27,7 @@ pub(crate) struct OpenArgs {
     /// Time that the page shows [default: now, or the newest data where these are old]
     #[arg(long, value_name = "TIME", value_parser = time, requires = "map")]
     at: Option<i64>,
-    /// Address of the daemon's HTTP port, without asking the daemon for it
+    /// Address of the daemon's HTTP port, without a request to the daemon for it
     #[arg(long, value_name = "URL", env = "TIDEMAP_PAGE")]
     page: Option<String>,
     /// Prints the address only

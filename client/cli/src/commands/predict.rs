@@ -27,7 +27,7 @@ pub(crate) struct PredictArgs {
     states: Vec<String>,
     #[command(flatten)]
     times: AskedTimesArgs,
-    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    /// Number of spectral components, 0 to 15 [default: the number that the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     #[arg(long, value_name = "KIND", default_value = "auto", help = model_help())]

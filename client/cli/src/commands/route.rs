@@ -87,8 +87,8 @@ struct AvoidArgs {
     /// State with the direction of these people: an angle, or a vector with their velocity
     #[arg(long, value_name = "STATE", requires = "avoid")]
     flow: Option<String>,
-    /// What avoiding an encounter is worth, seconds: a second near a person, if people are detected once a second
-    /// [default: 10]
+    /// Value of avoiding an encounter, seconds: a second near a person, if people are detected once a second [default:
+    /// 10]
     #[arg(long, value_name = "SECONDS", requires = "avoid", allow_hyphen_values = true)]
     encounter_cost: Option<f64>,
     /// People within this distance are near, metres [default: 1]
