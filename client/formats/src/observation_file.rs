@@ -487,7 +487,7 @@ impl ObservationColumns {
         }
         let text = shown(&fields[value]);
         Ok(Some(match row.is_word {
-            true => format!("value {text:?} stands for {number}, which is not between 0 and 1"),
+            true => format!("value {text:?} means {number}, which is not between 0 and 1"),
             false => format!("value {text} is not between 0 and 1"),
         }))
     }
@@ -507,11 +507,11 @@ impl ObservationColumns {
             }
             Some(Meaning::NoValue) if self.rules.kind != RowKind::Samples => Ok(None),
             Some(Meaning::NoValue) => Err(format!(
-                "value {:?} says that none is known: only rows of changes and events may (--changes, --events)",
+                "value {:?} means that there is no value: only rows of changes and events may lack one (--changes, --events)",
                 shown(text)
             )),
             None => Err(format!(
-                "value {:?} is not a number: use 0, 1 or anything between, or say what the word stands for, as in \
+                "value {:?} is not a number: use 0, 1 or anything between, or give the meaning of the word, as in \
                  --values {}=1, or that it is a label, with --kind categorical",
                 shown(text),
                 shown(text)

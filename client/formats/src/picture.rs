@@ -82,7 +82,7 @@ pub enum PictureError {
     #[error("the map's origin is {0:?}: it must be three finite numbers")]
     Origin([f64; 3]),
     /// Pictures that are compared and have different sizes.
-    #[error("the maps that are compared have different sizes, {0:?} and {1:?} cells: ask again")]
+    #[error("the maps that are compared have different sizes, {0:?} and {1:?} cells: repeat the request")]
     Sizes([u32; 3], [u32; 3]),
     /// A value outside 0 to 1.
     #[error("the value of cell {cell} is {value}: it must be within 0 and 1")]

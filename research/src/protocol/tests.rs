@@ -196,7 +196,7 @@ fn wrong_lags_and_blends_are_named() {
         ("next, 90m", "", "line 4: ahead is \"a list of 0\": it has to be 1 to 32 times"),
         ("mean+memory", "mean+luck", "line 5: model mean+luck: \"mean+luck\": the only suffixes are +belief"),
         ("mean+memory", "mad+memory", "line 5: model is \"mad+memory\": it has to be one of: mean, latest"),
-        ("mean+memory", "latest+memory", "line 5: model latest+memory: latest answers from the newest reading"),
+        ("mean+memory", "latest+memory", "line 5: model latest+memory: latest uses the newest reading"),
         ("ahead: [next, 90m]", "retrain: each", "line 5: model mean+memory: +memory draws predictions towards the"),
     ] {
         let message = refused(&LAGS.replacen(from, to, 1));

@@ -138,7 +138,7 @@ const COLUMNS: [&str; 5] = ["slot", "start", "location", "information_bits", "ta
 
 pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     args.drawing.check()?;
-    let title = format!("{}: what to explore on {}", args.map, args.date);
+    let title = format!("{}: plan of the exploration on {}", args.map, args.date);
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Some(Budget::Visits(slots as usize)),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
@@ -212,8 +212,8 @@ fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
         let why = match reason {
             UnservedReason::NoWindow => "its window is over, or the robot cannot arrive early enough",
             UnservedReason::Unreachable => "no way leads to its node",
-            UnservedReason::NoValue => "it is worth nothing at that time",
-            UnservedReason::NoTime => "there is no time for it beside tasks that are worth more",
+            UnservedReason::NoValue => "its value is 0 at that time",
+            UnservedReason::NoTime => "there is no time for it beside tasks of higher value",
             UnservedReason::UnknownNode => "the topology has no such node",
             UnservedReason::UnknownState => "the map has no such state, or it is no probability",
         };

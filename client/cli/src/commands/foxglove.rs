@@ -86,8 +86,8 @@ struct Served {
 pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result<ExitCode> {
     if !args.listen.is_loopback() && !args.allow_insecure_remote {
         return Err(usage(format!(
-            "--listen {}: whoever reaches the server sees the map, for there is neither a key nor encryption. Use a tunnel \
-             (ssh -L), or say --allow-insecure-remote",
+            "--listen {}: all who reach the server see the map, because there is neither a key nor encryption. Use a tunnel \
+             (ssh -L), or add --allow-insecure-remote",
             args.listen
         )));
     }
@@ -122,7 +122,7 @@ pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result
     }
     if !args.listen.is_loopback() {
         status_line(&format!(
-            "warning: whoever reaches {} sees map {name:?}: this server has no key and no encryption",
+            "warning: all who reach {} see map {name:?}: this server has no key and no encryption",
             args.listen
         ));
     }

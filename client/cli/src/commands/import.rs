@@ -127,7 +127,7 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
     }
     if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
         list::print(session, &planned)?;
-        status_line("nothing can be made of these recordings: --mapping says what to make of other topics");
+        status_line("no observations can be made from these recordings: use --mapping for other topics");
         return Ok(ExitCode::FAILURE);
     }
     list::tell(&planned);
@@ -187,7 +187,7 @@ async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::
     }
     transfer.counts().tell(&planned.surveyed);
     if matches!(end, TransferEnd::Stopped(_) | TransferEnd::Interrupted) {
-        status_line("the same command again sends what is missing");
+        status_line("the same command again sends the missing observations");
     }
     let what_to_do = if differs {
         format!(

@@ -324,7 +324,7 @@ async fn remove(
 ) -> anyhow::Result<ExitCode> {
     let removed = session.client.remove_landmarks(map, selection, is_dry_run).await?;
     if is_dry_run {
-        status_line("nothing is removed: this is what would be");
+        status_line("nothing is removed: these landmarks would be removed");
     }
     let of_place = |(place, names): (PlaceName, Vec<String>)| {
         names.into_iter().map(move |name| vec![Cell::Text(place.to_string()), Cell::Text(name)])

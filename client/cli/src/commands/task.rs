@@ -231,7 +231,7 @@ pub(crate) async fn run(session: &Session, command: TaskCommand) -> anyhow::Resu
         }
         TaskCommand::Remove { map, kind, node } => {
             session.client.remove_task(&map, &kind, &node).await?;
-            status_line(&format!("task {kind}/{node} is removed; what was learned of it stays"));
+            status_line(&format!("task {kind}/{node} is removed; its learned data stays"));
             Ok(ExitCode::SUCCESS)
         }
         TaskCommand::Report(args) => report(session, *args).await,

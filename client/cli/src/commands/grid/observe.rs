@@ -112,7 +112,7 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
     }
     transfer.report.conclude();
     if matches!(end, TransferEnd::Stopped(_)) {
-        status_line("the same command again sends what is missing");
+        status_line("the same command again sends the missing observations");
     }
     let what_to_do = if matches!(end, TransferEnd::Differs(_)) {
         format!("Other scans need another label, such as --label {}", free_label(session, &options).await)

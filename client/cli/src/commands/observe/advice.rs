@@ -79,7 +79,7 @@ impl RowAdvice {
         if let Some((states, first)) = self.states_that(looks_like).filter(|_| kind == RowKind::Samples) {
             lines.push(format!(
                 "{states}: nearly every row differs from the row before. If the sensor reports changes only, these rows \
-                 say something wrong as they are: {}",
+                 have a wrong meaning as they are: {}",
                 steps.as_changes(first)
             ));
         }
@@ -91,7 +91,7 @@ impl RowAdvice {
             let value = self.states.get(first).map_or(f64::NAN, |seen| seen.last);
             lines.push(format!(
                 "these states have only one value, {value} for the first, because the words of their other rows are not known: {states}. \
-                 Say what these words stand for, as in --values WORD=0"
+                 Give the meanings of these words, as in --values WORD=0"
             ));
         }
         let never_changes = |name: &str, seen: &Seen| {

@@ -128,7 +128,7 @@ impl<'a> NextSteps<'a> {
             },
             |replace| {
                 format!(
-                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
+                    "If it was corrected, this withdraws the rows sent before, and sends the file anew: {replace}. (Rows that are only \
                      added at the end are sent without that; with another label, all rows would count again.)"
                 )
             },
