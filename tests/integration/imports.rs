@@ -132,7 +132,7 @@ fn an_import_that_was_cut_short_goes_on_where_it_stopped() {
     assert_eq!(words(&daemon, "map show room").table().number("scans"), 40.0);
     let other = written(&folder, "other.bag", &drive(41), usize::MAX);
     let refused = words(&daemon, &line(&other));
-    refused.fails(1, &["other.bag differs from what robot-1 sent as monday", "--label monday-2"]);
+    refused.fails(1, &["other.bag differs from the data that robot-1 sent as monday", "--label monday-2"]);
     assert_eq!(words(&daemon, "map show room").table().number("scans"), 40.0);
 }
 

@@ -53,7 +53,7 @@ fn a_mapping_gives_states_kinds_values_and_what_reports_are() {
     assert_eq!(counts(&table, "/doors"), [12 + 24 + 24, 12, 0]);
     assert_eq!(counts(&table, "/activity"), [16, 8, 0]);
     assert!(
-        import.stderr.contains("the value \"unknown\" stands for no value of the state, 8 times"),
+        import.stderr.contains("the value \"unknown\" means no value of the state, 8 times"),
         "{}",
         import.stderr
     );
