@@ -14,7 +14,7 @@ use crate::{
 /// The number of first bytes of a file that [`FileKind::detect`] reads.
 pub const DETECT_BYTES: usize = 512;
 
-const UNPACK: &str = "this is a packed file: unpack it first, then import what is inside";
+const UNPACK: &str = "this is a packed file: unpack it first, then import its content";
 
 /// The first bytes of files of other kinds, and advice for them.
 const OTHERS: [(&[u8], &str); 14] = [

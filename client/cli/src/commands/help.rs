@@ -10,7 +10,7 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 8] = [
     ("Try it", &["demo", "sample", "open"]),
     ("Make maps", &["map", "state", "location"]),
-    ("Send what robots see and do", &["import", "observe", "grid", "traverse", "visit"]),
+    ("Send observations and reports", &["import", "observe", "grid", "traverse", "visit"]),
     ("Learn, and examine models", &["update", "model", "evaluate"]),
     (
         "Predict, and examine the past",

@@ -31,7 +31,7 @@ pub(super) fn opening(weeks: u32, robots: &[&str], states: usize, address: &str)
     )?;
     writeln!(text, "  A tidemapd of its own (at {address}) takes every observation in over gRPC, and acknowledges")?;
     writeln!(text, "  it once it is on disk. Whenever the data passes midnight, it learns from the day that ended.\n")?;
-    writeln!(text, "  After each week: how far is its forecast of the next day from what then happened?\n")?;
+    writeln!(text, "  After each week: the error of its forecast of the next day.\n")?;
     writeln!(text, "  week  until        observations   mean squared error of the forecast, all {states} states")?;
     writeln!(text, "                     so far         plain mean    tidemap")?;
     Ok(text)
@@ -53,7 +53,7 @@ pub(super) fn week(week: u32, last_day: &str, observations: u64, forecasts: &[Fo
 /// The forecast of a working day, with the model of each state.
 pub(super) fn tomorrow(day: &str, shown: &[(Forecast, ModelDescription)]) -> Result<String, fmt::Error> {
     let mut text = String::new();
-    writeln!(text, "\nTomorrow, {day}, as tidemap expects it, and as it turned out\n")?;
+    writeln!(text, "\nTomorrow, {day}, as tidemap predicts it, and the actual day\n")?;
     for (forecast, model) in shown {
         let (error, plain) = (forecast.error(), forecast.plain_error());
         writeln!(
@@ -104,7 +104,7 @@ pub(super) fn ended(program: &str) -> Result<String, fmt::Error> {
     let mut text =
         String::from("\nThe daemon has been stopped and its data removed. To send requests to it yourself, type\n\n");
     writeln!(text, "  {program} demo --keep\n")?;
-    writeln!(text, "which leaves it running, and ends with what to type next and the address of its page.")?;
+    writeln!(text, "which leaves it running, and prints the next commands and the address of its page.")?;
     Ok(text)
 }
 

@@ -86,7 +86,7 @@ def stated(reports: str | None, hold_max: Duration | None, hold_step: Duration |
     if reports is None:
         if said:
             raise InvalidArgument(
-                f"{' and '.join(said)} is the time for which a row of changes or events is valid: add "
+                f"{' and '.join(said)} can be set for changes and events only: add "
                 "reports=\"changes\" or reports=\"events\"",
                 "INVALID_ARGUMENT",
             )

@@ -80,7 +80,7 @@ pub(super) fn tell(planned: &Planned) {
     });
     if let Some((topic, _)) = unplaced {
         status_line(&format!(
-            "the recording has no transforms from which it is known where {:?} of {} was, so its messages have no place: \
+            "the recording has no transforms that give the position of {:?} of {}, so its messages have no place: \
              if it stood still, add --frame {}",
             topic.frame, topic.name, topic.frame
         ));
