@@ -167,8 +167,8 @@ fn certificate_problem(cause: &str) -> Option<String> {
                 .to_owned(),
         ),
         _ if refused.contains(&alert.as_str()) => Some(format!(
-            "does not accept the certificate of the client ({alert}): it must be valid now, and one of an authority that \
-             the daemon's setting tls_client_ca names"
+            "does not accept the certificate of the client ({alert}): it must be valid now, and one of an authority \
+             that the daemon's setting tls_client_ca names"
         )),
         _ => None,
     }

@@ -41,8 +41,8 @@ pub enum RowError {
     MissingColumn { column: String, header: String },
     /// Columns that are not separated by commas.
     #[error(
-        "its columns are separated by {}, not by commas, in the header {header:?}: write it with commas, for example with \
-         tr '{}' ',' < FILE > NEW, where numbers have no comma (0.5, not 0,5)",
+        "its columns are separated by {}, not by commas, in the header {header:?}: write it with commas, for example \
+         with tr '{}' ',' < FILE > NEW, where numbers have no comma (0.5, not 0,5)",
         separator_name(*.separator), separator.escape_default()
     )]
     Separator { separator: char, header: String },
@@ -507,7 +507,7 @@ impl ObservationColumns {
             }
             Some(Meaning::NoValue) if self.rules.kind != RowKind::Samples => Ok(None),
             Some(Meaning::NoValue) => Err(format!(
-                "value {:?} means that there is no value: only rows of changes and events may lack one (--changes, --events)",
+                "value {:?} means that there is no value: only changes and events may lack one (--changes, --events)",
                 shown(text)
             )),
             None => Err(format!(

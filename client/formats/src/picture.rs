@@ -104,8 +104,8 @@ pub enum PictureError {
     BeyondTree { origin_m: [f64; 3], reach_m: f64 },
     /// The cells of the map lie between the cells of an OctoMap.
     #[error(
-        "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell at \
-         0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
+        "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell \
+         at 0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
     )]
     OffTree { resolution_m: f64, off_cells: f64 },
     /// Thresholds in the wrong order.

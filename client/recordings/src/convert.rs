@@ -155,7 +155,7 @@ pub enum NotMade {
     Nothing(&'static str),
     /// The rays of a cloud in a frame that does not move have no known beginning.
     #[error(
-        "its points are in {0:?} already, so the position of the sensor is unknown; --frame {0} takes it as the sensor's place"
+        "its points are in {0:?} already, so the sensor's place is unknown; --frame {0} takes it as the sensor's place"
     )]
     NoSensor(String),
     /// Values of the message are wrong.

@@ -107,13 +107,13 @@ fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelect
         return Err(ProtocolError::model(written.line, written, wrong));
     }
     if blend.blend == Blend::Belief {
-        let wrong = "+belief is learned by a map: import the files and send requests to it, or use +memory here".to_owned();
+        let wrong = "+belief is learned by a map: import the files into one, or use +memory here".to_owned();
         return Err(ProtocolError::model(written.line, written, wrong));
     }
     if !has_newest {
         let wrong = format!(
-            "{suffix} draws predictions towards the newest reading, and nothing specifies which reading that is: write how \
-             far ahead to predict in a comparison, as in ahead: [next, 1h, 24h], or leave it out"
+            "{suffix} draws predictions towards the newest reading, and nothing specifies which reading that is: write \
+             how far ahead to predict in a comparison, as in ahead: [next, 1h, 24h], or leave it out"
         );
         return Err(ProtocolError::model(written.line, written, wrong));
     }
@@ -144,8 +144,8 @@ fn entry(model: &RawModel, allowed: Allowed) -> Result<ModelEntry, ProtocolError
         }
         if values.words.len() > 1 && !tunes && lists == Lists::Tuned {
             let wrong = format!(
-                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value, or \
-                 lists: {EACH} to compare all",
+                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value, \
+                 or lists: {EACH} to compare all",
                 values.words.len()
             );
             return Err(ProtocolError::model(values.line, written, wrong));

@@ -114,8 +114,8 @@ fn an_unknown_model_is_named_with_the_models_there_are() {
 fn wrong_parameters_are_named_with_the_right_ones() {
     assert_eq!(
         refused_with("bins: [12, 24]", "bims: [12, 24]"),
-        "line 9: model histogram: \"bims\" is not a parameter of it: use bins, cycle, smoothing_bins, prior_readings or \
-         name"
+        "line 9: model histogram: \"bims\" is not a parameter of it: use bins, cycle, smoothing_bins, prior_readings \
+         or name"
     );
     assert_eq!(
         refused_with("  - mean", "  - mean: {order: 3}"),

@@ -81,8 +81,9 @@ fn number(text: &str) -> Result<f64, String> {
 fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
     if is_kept && !(KEPT_CONFIDENCE..=1.0).contains(&confidence) {
         return Err(UsageError(format!(
-            "--confidence {confidence}: unusual observations are kept from a confidence of {KEPT_CONFIDENCE} on, so use \
-             {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above 0.5"
+            "--confidence {confidence}: unusual observations are kept from a confidence of {KEPT_CONFIDENCE} on, so \
+             use {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above \
+             0.5"
         )));
     }
     match confidence > 0.5 && confidence <= 1.0 {

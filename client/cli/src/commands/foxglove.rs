@@ -86,8 +86,8 @@ struct Served {
 pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result<ExitCode> {
     if !args.listen.is_loopback() && !args.allow_insecure_remote {
         return Err(usage(format!(
-            "--listen {}: all who reach the server see the map, because there is neither a key nor encryption. Use a tunnel \
-             (ssh -L), or add --allow-insecure-remote",
+            "--listen {}: all who reach the server see the map, because there is neither a key nor encryption. Use a \
+             tunnel (ssh -L), or add --allow-insecure-remote",
             args.listen
         )));
     }

@@ -374,7 +374,9 @@ pub(super) fn exit_code(
         TransferEnd::Stopped(error) => Err(error.into()),
         TransferEnd::Differs(how) => {
             let ProducerOptions { producer, label, .. } = options;
-            anyhow::bail!("{shown} differs from the data that {producer} sent as {label}: {how}; nothing was sent. {what_to_do}")
+            anyhow::bail!(
+                "{shown} differs from the data that {producer} sent as {label}: {how}; nothing was sent. {what_to_do}"
+            )
         }
     }
 }
@@ -461,8 +463,8 @@ async fn report_outages(mut progress: watch::Receiver<Progress>, bar: Bar, patie
         if seen.store_changes > store_changes {
             store_changes = seen.store_changes;
             bar.status_line(&format!(
-                "the daemon has another data folder than before (store id {}): data that was acknowledged before may be missing. \
-                 Was a backup restored, or is a disk not mounted?",
+                "the daemon has another data folder than before (store id {}): data that was acknowledged before may \
+                 be missing. Was a backup restored, or is a disk not mounted?",
                 seen.store_id
             ));
         }

@@ -82,7 +82,7 @@ fn served(server: &str, page: &PagePort) -> Result<String, UsageError> {
 async fn page_of(client: &Client, map: &str) -> anyhow::Result<PagePort> {
     match client.page_port(map).await {
         Ok(Some(page)) => Ok(page),
-        Ok(None) => Err(usage("the daemon is too old to report the address of its page: give it with --page HOST:PORT")),
+        Ok(None) => Err(usage("the daemon is too old to name its page: give the address with --page HOST:PORT")),
         Err(Error::Server(error)) if error.code == Code::PermissionDenied => {
             status_line("the token does not allow a request for the address of the page: this is the default port");
             Ok(PagePort { port: HTTP_PORT, is_loopback: false, has_tls: true, host: String::new() })

@@ -133,7 +133,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     if let Some(first) = unlearned.first().filter(|_| session.format == Format::Table) {
         let more = if unlearned.len() > 1 { format!(" and of {} more", unlearned.len() - 1) } else { String::new() };
         status_line(&format!(
-            "nothing is learned yet of {first}{more}: this is the map's prediction for any state; tidemap update {} learns",
+            "nothing is learned yet of {first}{more}: this is the map's prior of any state; tidemap update {} learns",
             args.map
         ));
     }

@@ -255,8 +255,8 @@ fn summary(number: usize, route: &NamedRoute, routes: usize) -> String {
     let secs = (route.arrival_nanos - route.departure_nanos) as f64 / 1e9;
     let which = if routes > 1 { format!("route {number}: ") } else { String::new() };
     format!(
-        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s without failures, {:.1} s expected; \
-         departure {}",
+        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s without failures, {:.1} s \
+         expected; departure {}",
         route.success,
         route.expected_secs,
         route.departure_nanos.div_euclid(1_000_000_000)

@@ -145,8 +145,8 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
             left += usize::from(!is_removed);
             if fork.other_records > 0 {
                 status_line(&format!(
-                    "warning: fork {} on {member} holds {} changes of states or of the site. This command cannot find out \
-                     whether the map has them: compare them yourself",
+                    "warning: fork {} on {member} holds {} changes of states or of the site. This command cannot find \
+                     out whether the map has them: compare them yourself",
                     fork.name, fork.other_records
                 ));
             }

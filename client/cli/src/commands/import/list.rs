@@ -88,8 +88,8 @@ pub(super) fn tell(planned: &Planned) {
     let conflicts: Vec<&str> = surveyed.frames.conflicts().collect();
     if !conflicts.is_empty() {
         status_line(&format!(
-            "several transforms contradict each other about {}: a parent that changes, a fixed one that moves, or two robots \
-             in one recording. skip: in a mapping leaves out a topic of transforms",
+            "several transforms contradict each other about {}: a parent that changes, a fixed one that moves, or two \
+             robots in one recording. skip: in a mapping leaves out a topic of transforms",
             conflicts.join(", ")
         ));
     }

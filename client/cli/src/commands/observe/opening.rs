@@ -96,8 +96,8 @@ fn looked_at(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSo
 fn problem(start: &[u8]) -> Option<String> {
     if let Some(encoding) = wide_text(start) {
         return Some(format!(
-            "is text in {encoding}: save it as UTF-8, or send it with `iconv -f {encoding} -t UTF-8 FILE`, and - in place \
-             of FILE"
+            "is text in {encoding}: save it as UTF-8, or send it with `iconv -f {encoding} -t UTF-8 FILE`, and - in \
+             place of FILE"
         ));
     }
     let known = KINDS.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, what)| (*what).to_owned());

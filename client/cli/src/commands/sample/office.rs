@@ -57,7 +57,7 @@ tidemap predict office kitchen meeting-room --from 2025-02-18T08:00:00Z --to 202
 # How good is that? Compare with the week that really came.
 tidemap evaluate office next-week.csv --models auto,mean,latest
 
-# The way to the kitchen: by day through the entrance, at night around the house. And the order of a search for somebody.
+# The way to the kitchen: by day through the entrance, at night around the house. And a search for somebody.
 tidemap route office entrance kitchen --objective time --at 2025-02-18T12:00:00Z
 tidemap route office entrance kitchen --objective time --at 2025-02-18T23:00:00Z
 tidemap search office --start corridor --at 2025-02-18T10:30:00Z
@@ -137,7 +137,7 @@ pub(super) fn write(folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
         fs::write(folder.join(name), text)
     };
     for (robot, name) in ["robot-ada.csv", "robot-bob.csv", "robot-cleo.csv"].into_iter().enumerate() {
-        put(name, observed(&office, robot, DAYS, |_| true), "observations of this robot: open doors, rooms with people")?;
+        put(name, observed(&office, robot, DAYS, |_| true), "its observations: open doors, rooms with people")?;
     }
     put("topology.yaml", (topology(), NODES.len() as u64), "nodes with positions, and edges")?;
     put("traversals.csv", traversals(&office), "drives along the edges; some doors were shut")?;
