@@ -512,7 +512,7 @@ impl ObservationColumns {
             )),
             None => Err(format!(
                 "value {:?} is not a number: use 0, 1 or anything between, or give the meaning of the word, as in \
-                 --values {}=1, or that it is a label, with --kind categorical",
+                 --values {}=1, or send labels with --kind categorical",
                 shown(text),
                 shown(text)
             )),

@@ -49,8 +49,8 @@ pub(crate) enum ClusterCommand {
     /// Shows the role of each member for each map
     ///
     /// lag_records is how far the member is behind the others; heard_secs is the time since it last received the end of
-    /// the shared log. digest is that of the newest generation since the member's start, and equal is yes if it is the
-    /// writer's. The exit status means what that of `cluster status` means.
+    /// the shared log. digest is that of the newest generation since the member's start, and equal states whether it is the
+    /// writer's. The exit status is that of `cluster status`.
     Maps,
     /// Pins a map to a member, which is to write it, and waits until it does
     ///
@@ -76,10 +76,10 @@ pub(crate) enum ClusterCommand {
     ///
     /// A fork is records that a member set aside because the shared log does not have them. Their observations are sent
     /// to the map as from their producers, under their numbers, so that it has each of them once. Scans, traversals,
-    /// sightings and reports of tasks cannot be sent again, and neither can what follows them in their sequences, or
-    /// observations of a producer that has begun anew. Values are compared by a checksum only, where the map still has
-    /// one. With --accept-loss the forks are removed all the same; what the map lacks of them is lost. The exit status
-    /// is 2 while forks are left, and 1 if a member does not respond.
+    /// sightings and reports of tasks cannot be sent again, and neither can the records after them in their sequences,
+    /// or observations of a producer that has begun anew. Values are compared by a checksum only, where the map still
+    /// has one. With --accept-loss the forks are removed all the same; records that the map lacks are lost. The exit
+    /// status is 2 while forks are left, and 1 if a member does not respond.
     Heal(HealArgs),
 }
 
@@ -120,10 +120,10 @@ pub(crate) struct VerifyArgs {
 pub(crate) struct HealArgs {
     /// Name of the map
     map: String,
-    /// Remove all forks, also those of which the map lacks something; those records are lost
+    /// Remove all forks, also those with records that the map lacks; these records are lost
     #[arg(long)]
     accept_loss: bool,
-    /// Show what the forks hold; take in nothing and remove nothing
+    /// Show the contents of the forks; take in nothing and remove nothing
     #[arg(long, conflicts_with = "accept_loss")]
     dry_run: bool,
 }

@@ -12,7 +12,7 @@ pub(crate) enum MeasureArg {
     Ral,
     /// The information that the observation gives about later ones
     Learn,
-    /// The gain plus four times what is learned
+    /// The gain plus four times the information about later ones
     Both,
 }
 

@@ -33,7 +33,7 @@ pub(crate) struct RowKindArgs {
     /// unavailable
     #[arg(long, conflicts_with = "events")]
     changes: bool,
-    /// Rows are events, as of a light barrier: they are counted, by the hour unless --hold-step says otherwise
+    /// Rows are events, as of a light barrier: they are counted, by the hour unless --hold-step is given
     #[arg(long)]
     events: bool,
 }

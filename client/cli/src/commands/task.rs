@@ -23,7 +23,7 @@ const WEEKDAYS: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TaskCommand {
-    /// Adds a task: what a robot does at a node of the topological map; replaces the task of that kind and node
+    /// Adds a task of a robot at a node of the topological map; replaces the task of that kind and node
     Add(Box<AddArgs>),
     /// Lists the tasks of a map
     List {
