@@ -49,8 +49,8 @@ pub(crate) enum ClusterCommand {
     /// Shows the role of each member for each map
     ///
     /// lag_records is how far the member is behind the others; heard_secs is the time since it last received the end of
-    /// the shared log. digest is that of the newest generation since the member's start, and equal states whether it is the
-    /// writer's. The exit status is that of `cluster status`.
+    /// the shared log. digest is that of the newest generation since the member's start, and equal states whether it is
+    /// the writer's. The exit status is that of `cluster status`.
     Maps,
     /// Pins a map to a member, which is to write it, and waits until it does
     ///
