@@ -20,7 +20,7 @@ pub enum Error {
     TokenInClear { server: String },
     #[error("TLS: {0}")]
     Tls(String),
-    #[error("no daemon answers at {server}: {detail}")]
+    #[error("no daemon responds at {server}: {detail}")]
     Unreachable { server: String, detail: String },
     /// The daemon ended the handshake of TLS because this client's certificate is wrong or missing.
     #[error("the daemon at {server} {problem}")]
@@ -162,13 +162,13 @@ fn certificate_problem(cause: &str) -> Option<String> {
     let refused = ["BadCertificate", "UnknownCA", "CertificateExpired", "CertificateUnknown", "CertificateRevoked"];
     match alert.as_str() {
         "CertificateRequired" => Some(
-            "asks for a certificate of the client: name it and its private key (--tls-cert FILE and --tls-key FILE, or \
+            "requires a certificate of the client: name it and its private key (--tls-cert FILE and --tls-key FILE, or \
              TIDEMAP_TLS_CERT and TIDEMAP_TLS_KEY)"
                 .to_owned(),
         ),
         _ if refused.contains(&alert.as_str()) => Some(format!(
-            "does not take the certificate of the client ({alert}): it must be valid now, and one of an authority that \
-             the daemon's setting tls_client_ca names"
+            "does not accept the certificate of the client ({alert}): it must be valid now, and one of an authority \
+             that the daemon's setting tls_client_ca names"
         )),
         _ => None,
     }
@@ -243,7 +243,7 @@ mod tests {
         let refused = io::Error::new(io::ErrorKind::ConnectionRefused, "os error 111");
         let status = Status::from_error(Box::new(refused));
         let error = Error::from_status("http://h:1", &status);
-        assert_eq!(error.to_string(), "no daemon answers at http://h:1: connection refused");
+        assert_eq!(error.to_string(), "no daemon responds at http://h:1: connection refused");
         assert!(error.is_transient());
     }
 }

@@ -284,7 +284,7 @@ impl Client {
         while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
             let v1::GetInformationResponse { target, entropy_bits, information_bits, states } = reply;
             if entropy_bits.len() != times || information_bits.len() != times {
-                return Err(Error::Protocol("information at other times than asked for"));
+                return Err(Error::Protocol("information at other times than requested"));
             }
             information.push(Information { target, entropy_bits, information_bits, states });
         }
@@ -329,7 +329,7 @@ impl Client {
             } else if reply.information_bits.len() == times {
                 View::Information(reply.information_bits.into_iter().map(|b| Some(b).filter(|b| !b.is_nan())).collect())
             } else {
-                return Err(Error::Protocol("views at other times than asked for"));
+                return Err(Error::Protocol("views at other times than requested"));
             });
         }
         if views.len() == viewpoints.len() { Ok(views) } else { Err(Error::Protocol("a viewpoint is missing")) }

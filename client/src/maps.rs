@@ -359,7 +359,7 @@ fn state_from_wire(state: v1::State) -> Result<State, Error> {
     let sensor = state.sensor.as_ref().map(state_sensor_from_wire).transpose();
     let reporting = state.reporting.as_ref().map(|wire| reporting_from_wire("reporting", wire)).transpose();
     Ok(State {
-        shape: shape.ok_or(Error::Protocol("a state of a kind that this version does not know"))?,
+        shape: shape.ok_or(Error::Protocol("a state of a kind that this version does not support"))?,
         name: state.name,
         observations: state.observations,
         order: state.order,

@@ -68,7 +68,7 @@ enum ExperimentKind {
     Search(CompareArgs),
     /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
-    /// Gives robots in a simulated building tasks with windows, and reports failures and what is done, week by week
+    /// Gives robots in a simulated building tasks with windows, and reports failures and done tasks, week by week
     Tasks(TasksArgs),
     /// Finds the place and heading of pictures by landmarks that come and go, from a recording
     Localise(LocaliseArgs),

@@ -159,7 +159,7 @@ fn how_a_state_is_reported_never_changes() {
     // A state of samples takes no row without a value.
     tidemap(&daemon, ["state", "add", "home", "plain"]).table();
     let refused = send(&[], "four", "time,state,value\n1738537200,plain,unavailable\n");
-    refused.fails(1, &["says that none is known"]);
+    refused.fails(1, &["means that there is no value"]);
     let wrong = ["state", "add", "home", "x", "--reports", "events", "--kind", "probability"];
     tidemap(&daemon, wrong).fails(1, &["only a count has events"]);
     tidemap(&daemon, ["state", "add", "home", "x", "--hold-max", "1d"]).fails(2, &["samples neither hold"]);

@@ -123,7 +123,7 @@ fn an_import_that_was_cut_short_goes_on_where_it_stopped() {
     let line = |file: &PathBuf| format!("import room {} --producer robot-1 --label monday", file.display());
     let cut = words(&daemon, &line(&part));
     let cut_table = cut.table();
-    assert!(cut.stderr.contains("part.bag: ") && cut.stderr.contains("what comes before is taken"), "{}", cut.stderr);
+    assert!(cut.stderr.contains("part.bag: ") && cut.stderr.contains("the part before is taken"), "{}", cut.stderr);
     let [scans, ..] = counts(&cut_table, "/scan");
     assert!((10..40).contains(&scans), "{scans}");
     let whole = written(&folder, "whole.bag", &bag, usize::MAX);
@@ -132,7 +132,7 @@ fn an_import_that_was_cut_short_goes_on_where_it_stopped() {
     assert_eq!(words(&daemon, "map show room").table().number("scans"), 40.0);
     let other = written(&folder, "other.bag", &drive(41), usize::MAX);
     let refused = words(&daemon, &line(&other));
-    refused.fails(1, &["other.bag differs from what robot-1 sent as monday", "--label monday-2"]);
+    refused.fails(1, &["other.bag differs from the data that robot-1 sent as monday", "--label monday-2"]);
     assert_eq!(words(&daemon, "map show room").table().number("scans"), 40.0);
 }
 

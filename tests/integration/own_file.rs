@@ -143,7 +143,7 @@ fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
     // Numbers of another kind, a word for one, another separator, another date.
     let file = home.file("warm.csv", "time,state,value\n1738537200,hall,21.5\n1738537200,hatch,ajar\n");
     let sent = home.observe(&file, &["--values", "ajar=5"]);
-    sent.fails(1, &["\"ajar\" stands for 5", "21.5 is not between 0 and 1", "--kinds 'PATTERN=continuous'"]);
+    sent.fails(1, &["\"ajar\" means 5", "21.5 is not between 0 and 1", "--kinds 'PATTERN=continuous'"]);
     home.observe(&home.file("semi.csv", "time;state;value\n1;door;0\n"), &[]).fails(1, &["separated by semicolons"]);
     let dated = home.file("dated.csv", "time,state,value\n03.02.2025 08:00,door,1\n03.02.2025 09:00,door,0\n");
     home.observe(&dated, &["--local"]).fails(1, &["\"03.02.2025 08:00\" is a date as day.month.year"]);

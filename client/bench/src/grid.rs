@@ -69,7 +69,7 @@ pub(crate) struct GridArgs {
     /// error over the changing cells
     #[arg(long, value_name = "N", default_value_t = 0)]
     compare: u32,
-    /// How long the history of exact cell observations is kept: none, forever or a duration
+    /// Time for which the history of exact cell observations is kept: none, forever or a duration
     #[arg(long, value_name = "RETENTION", default_value = "none", value_parser = tidemap_cli::parse_retention)]
     retention: tidemap_client::maps::Retention,
     /// Does not delete the map

@@ -22,7 +22,7 @@ const STATE: &str = "door";
 
 #[derive(Debug, Args)]
 pub(crate) struct LagArgs {
-    /// Address of the other daemon; it reads what `--server` has acknowledged
+    /// Address of the other daemon; it reads the observations that `--server` has acknowledged
     #[arg(long, value_name = "HOST:PORT")]
     reader: String,
     /// Observations per second

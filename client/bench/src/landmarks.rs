@@ -26,7 +26,7 @@ pub(crate) struct LandmarkBenchArgs {
     /// Landmarks of each node
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(8..=4_096))]
     landmarks: u32,
-    /// Looks at each node, one a month
+    /// Observations of each node, one a month
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=1_000))]
     looks: u32,
     /// Features of an image

@@ -47,11 +47,11 @@ enum BenchCommand {
     Observe(observe::ObserveBenchArgs),
     /// Measures the latency until an observation is durable, at a given rate
     Latency(latency::LatencyArgs),
-    /// Measures how long another daemon of a cluster takes to show what this one has acknowledged
+    /// Measures how long another daemon of a cluster takes to show the observations that this one has acknowledged
     Lag(lag::LagArgs),
     /// Measures the predictions per second
     Predict(predict::PredictBenchArgs),
-    /// Measures the latencies of answers and refusals when more is asked than the daemon can answer
+    /// Measures the latencies of answers and refusals when more requests arrive than the daemon can answer
     Overload(overload::OverloadArgs),
     /// Measures the latency of planning a search
     Search(search::SearchBenchArgs),

@@ -135,12 +135,12 @@ enum Command {
     ///
     /// The file has a header and the columns time, state and value, in any order; a value is between 0 and 1. With
     /// columns x, y and optionally z in place of value, the rows are positions in metres. The same producer and label
-    /// continue where they stopped; a file that differs from what was sent is refused. The exit status is 0 only if no
-    /// row was refused.
+    /// continue where they stopped; a file that differs from the data sent before is refused. The exit status is 0 only
+    /// if no row was refused.
     Observe(observe::ObserveArgs),
     /// Runs the nightly update now and shows the result for each state
     Update(update::UpdateArgs),
-    /// Says which label of a categorical state holds, from how likely each makes what was just observed
+    /// Computes the probability of each label of a categorical state from the likelihoods of an observation
     ///
     /// probability is likelihood x temporal_prior x spatial_prior, divided by the sum over all labels. temporal_prior
     /// is the probability of the label at that time; spatial_prior is the probability of being at the place while the
@@ -160,21 +160,21 @@ enum Command {
     ///
     /// Scans, clouds and occupancy grids become observations of the grid, placed by the transforms of the recording;
     /// doors and booleans become states, poses and people positions, statistics of navigation traversals. --list shows
-    /// what is in a recording; --mapping makes states of any other topics. The map is created if it does not exist.
-    /// Each observation is sent exactly once: the same command again continues where it stopped. The exit status is 0
-    /// only if nothing was refused.
+    /// the contents of a recording; --mapping makes states of any other topics. The map is created if it does not
+    /// exist. Each observation is sent exactly once: the same command again continues where it stopped. The exit status
+    /// is 0 only if nothing was refused.
     Import(Box<import::ImportArgs>),
     /// Sends scans of an occupancy grid, and writes maps of any time
     #[command(subcommand)]
     Grid(grid::GridCommand),
     /// Writes maps of any time, past or future, as files for other programs
     ///
-    /// The ending of PATH says what: .mcap is a recording of the map over time for Foxglove and ROS 2, with the grid,
-    /// the topological map and the states; .yaml is a map for Nav2's map server, with its image .pgm beside it, or with
-    /// --mask a mask for a costmap filter; .geojson is the topological map for Nav2's route server, whose edges cost
-    /// the expected seconds at that time. A .mcap file takes many times, the others one.
+    /// The ending of PATH selects the format: .mcap is a recording of the map over time for Foxglove and ROS 2, with
+    /// the grid, the topological map and the states; .yaml is a map for Nav2's map server, with its image .pgm beside
+    /// it, or with --mask a mask for a costmap filter; .geojson is the topological map for Nav2's route server, whose
+    /// edges cost the expected seconds at that time. A .mcap file takes many times, the others one.
     Export(export::ExportArgs),
-    /// Serves a map to the program Foxglove, whose time bar then asks for maps of the past and of the future
+    /// Serves a map to the program Foxglove, whose time bar then requests maps of the past and of the future
     ///
     /// Foxglove opens the address that is printed. Its time bar begins with the first observation and ends --ahead
     /// after now. Channels: /grid, /topology, /states/NAME and /anomalies. The server runs until it is interrupted.
@@ -213,7 +213,7 @@ enum Command {
     /// Adds, lists and removes areas that no route, tour, search or plan of tasks leads through
     #[command(subcommand)]
     NoGo(no_go::NoGoCommand),
-    /// Adds, lists and removes tasks of a map, and reports what was done
+    /// Adds, lists and removes tasks of a map, and reports their execution
     #[command(subcommand)]
     Task(task::TaskCommand),
     /// Shows kept plans of days
@@ -222,7 +222,8 @@ enum Command {
     /// Loads, shows and changes topological maps: nodes, and the edges between them
     #[command(subcommand)]
     Topology(topology::TopologyCommand),
-    /// Adds, lists and predicts landmarks of nodes and edges, and finds where a robot is by what it sees
+    /// Adds, lists and predicts landmarks of nodes and edges, and finds the node of a robot from the landmarks that it
+    /// sees
     #[command(subcommand)]
     Landmark(landmark::LandmarkCommand),
     /// Reports traversals of edges of the topological map: those of a file, each exactly once, or a single one
@@ -267,7 +268,7 @@ enum Command {
     /// Lists and watches jobs
     #[command(subcommand)]
     Job(job::JobCommand),
-    /// Shows who has sent observations to a map, and when last
+    /// Lists producers, which send observations to a map, and frees their places
     #[command(subcommand)]
     Producer(producer::ProducerCommand),
     /// Shows the counters of a map, or of the whole daemon
@@ -275,17 +276,17 @@ enum Command {
     /// Makes a backup of all maps while the daemon runs
     #[command(subcommand)]
     Backup(backup::BackupCommand),
-    /// Erases a state from a map, with all that was learned of it
+    /// Erases a state from a map, with all its learned data
     ///
-    /// History, models, log, checkpoints, index and later backups hold nothing of it afterwards. Earlier backups keep
-    /// what they have. A daemon that ends meanwhile completes it at its next start.
+    /// History, models, log, checkpoints, index and later backups hold nothing of it afterwards. Earlier backups stay
+    /// as they are. A daemon that ends meanwhile completes it at its next start.
     Erase(erase::EraseArgs),
     /// Shows and operates a cluster: daemons that share the logs of their maps
     #[command(subcommand)]
     Cluster(cluster::ClusterCommand),
     /// Writes sample data into a folder, and the commands to try with it
     Sample(sample::SampleArgs),
-    /// Prints the JSON schema of what a command prints with --output json, or that of all commands
+    /// Prints the JSON schema of the output of a command with --output json, or that of all commands
     Schema(schema::SchemaArgs),
     /// Opens the daemon's page in a browser
     Open(open::OpenArgs),

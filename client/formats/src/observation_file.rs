@@ -41,8 +41,8 @@ pub enum RowError {
     MissingColumn { column: String, header: String },
     /// Columns that are not separated by commas.
     #[error(
-        "its columns are separated by {}, not by commas, in the header {header:?}: write it with commas, for example with \
-         tr '{}' ',' < FILE > NEW, where numbers have no comma (0.5, not 0,5)",
+        "its columns are separated by {}, not by commas, in the header {header:?}: write it with commas, for example \
+         with tr '{}' ',' < FILE > NEW, where numbers have no comma (0.5, not 0,5)",
         separator_name(*.separator), separator.escape_default()
     )]
     Separator { separator: char, header: String },
@@ -487,7 +487,7 @@ impl ObservationColumns {
         }
         let text = shown(&fields[value]);
         Ok(Some(match row.is_word {
-            true => format!("value {text:?} stands for {number}, which is not between 0 and 1"),
+            true => format!("value {text:?} means {number}, which is not between 0 and 1"),
             false => format!("value {text} is not between 0 and 1"),
         }))
     }
@@ -507,12 +507,12 @@ impl ObservationColumns {
             }
             Some(Meaning::NoValue) if self.rules.kind != RowKind::Samples => Ok(None),
             Some(Meaning::NoValue) => Err(format!(
-                "value {:?} says that none is known: only rows of changes and events may (--changes, --events)",
+                "value {:?} means that there is no value: only changes and events may lack one (--changes, --events)",
                 shown(text)
             )),
             None => Err(format!(
-                "value {:?} is not a number: use 0, 1 or anything between, or say what the word stands for, as in \
-                 --values {}=1, or that it is a label, with --kind categorical",
+                "value {:?} is not a number: use 0, 1 or anything between, or give the meaning of the word, as in \
+                 --values {}=1, or send labels with --kind categorical",
                 shown(text),
                 shown(text)
             )),

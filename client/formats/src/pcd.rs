@@ -55,7 +55,7 @@ fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatEr
                 line.place(),
                 "the number of points",
                 format!("more than {points}"),
-                "what POINTS says",
+                "the number of POINTS",
             ));
         }
         let mut point = [0.0; 3];

@@ -82,7 +82,7 @@ pub enum PictureError {
     #[error("the map's origin is {0:?}: it must be three finite numbers")]
     Origin([f64; 3]),
     /// Pictures that are compared and have different sizes.
-    #[error("the maps that are compared have different sizes, {0:?} and {1:?} cells: ask again")]
+    #[error("the maps that are compared have different sizes, {0:?} and {1:?} cells: repeat the request")]
     Sizes([u32; 3], [u32; 3]),
     /// A value outside 0 to 1.
     #[error("the value of cell {cell} is {value}: it must be within 0 and 1")]
@@ -104,8 +104,8 @@ pub enum PictureError {
     BeyondTree { origin_m: [f64; 3], reach_m: f64 },
     /// The cells of the map lie between the cells of an OctoMap.
     #[error(
-        "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell at \
-         0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
+        "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell \
+         at 0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
     )]
     OffTree { resolution_m: f64, off_cells: f64 },
     /// Thresholds in the wrong order.

@@ -387,7 +387,7 @@ impl NativeClient {
         };
         let predicted = wait(py, asked, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
         let rows = predicted.map_err(|name| {
-            let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
+            let message = format!("{name} is a position: request QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
         })?;
         let array = |column: fn(&PredictedRow) -> &Vec<f64>| {

@@ -50,7 +50,7 @@ pub(crate) fn arrays<'py>(py: Python<'py>, answer: &WholeGrid, query: &GridQuery
     let [width, height, depth] = region.size().map(|cells| usize::try_from(cells).unwrap_or(usize::MAX));
     let cells = [width, height, depth].into_iter().try_fold(1_usize, usize::checked_mul);
     if cells.is_none_or(|cells| cells > CELLS_MAX) {
-        let message = format!("a region of {width} x {height} x {depth} cells is too large for an array: ask for less");
+        let message = format!("a region of {width} x {height} x {depth} cells is too large for an array: reduce it");
         return Err(failure::invalid(py, &message));
     }
     let mut values = Array3::from_elem((depth, height, width), f32::NAN);

@@ -225,7 +225,7 @@ pub(crate) async fn send(
 /// The exception if the data that was sent before is not the beginning of this data.
 pub(crate) fn differs(producer: &str, label: &str, how: &str, may_replace: bool) -> Outcome {
     let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
-    let replace = if may_replace { ", or replace what was sent (replace=True)" } else { "" };
+    let replace = if may_replace { ", or replace the data sent before (replace=True)" } else { "" };
     Outcome::Differs(format!(
         "this does not continue what producer {producer:?}{label} has sent to the map: {how}. Send everything from the \
          first, or give the data a label of its own (label=\"…\"){replace}"

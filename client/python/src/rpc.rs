@@ -94,7 +94,7 @@ async fn called(client: Client, method: MethodDescriptor, request: Bytes) -> Res
 pub(crate) fn raised(py: Python<'_>, server: &str, status: &Status) -> PyErr {
     let mut message = status.message().to_owned();
     if status.code() == Code::Unavailable && std::error::Error::source(status).is_some() {
-        message = format!("no daemon answers at {server}: {message}");
+        message = format!("no daemon responds at {server}: {message}");
     }
     failure::exception(py, &failure::code_name(status.code()), &message)
 }

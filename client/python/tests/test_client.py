@@ -163,7 +163,7 @@ def test_rows_that_were_refused_before_are_told(client):
 
 
 def test_no_daemon_is_said_plainly():
-    with pytest.raises(tidemap.Unavailable, match="no daemon answers at"):
+    with pytest.raises(tidemap.Unavailable, match="no daemon responds at"):
         tidemap.connect("127.0.0.1:9")
 
 

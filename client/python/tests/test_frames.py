@@ -142,7 +142,7 @@ def test_wrong_columns_are_named(client):
         client.observe(client.name, wide, columns={"worth": "door"})
     with pytest.raises(tidemap.InvalidArgument, match="two columns 'a'"):
         client.observe(client.name, pandas.DataFrame([[0, 1]], columns=["a", "a"], index=HOURS[:1]))
-    with pytest.raises(tidemap.InvalidArgument, match="which zone"):
+    with pytest.raises(tidemap.InvalidArgument, match="the zone of its times"):
         client.observe(client.name, wide, times=HOURS)
 
 

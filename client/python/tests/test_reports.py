@@ -101,7 +101,7 @@ def test_rows_of_a_state_that_is_reported_otherwise_are_not_sent(client):
     ("said", "words"),
     [
         ({"reports": "chnages"}, "\"chnages\" is not known: use \"samples\", \"changes\" or \"events\""),
-        ({"hold_max": "7d"}, "hold_max says.*add reports="),
+        ({"hold_max": "7d"}, "hold_max can be set.*add reports="),
         ({"reports": "samples", "hold_step": "5m"}, "samples neither hold"),
         ({"reports": "changes", "hold_step": "5"}, "hold_step: .*\"5\""),
         ({"reports": "changes", "hold_max": 300}, "hold_max=300 has no unit.*300s"),

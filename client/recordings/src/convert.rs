@@ -142,20 +142,20 @@ pub enum NotMade {
     #[error("{0}")]
     NoTransform(#[from] FrameError),
     /// No frame was chosen: no transforms give the position of the robot.
-    #[error("nothing in the recording says where {0:?} was")]
+    #[error("nothing in the recording gives the position of {0:?}")]
     NoFrame(String),
     /// Another scan of the topic was taken shortly before.
     #[error("left out, because one shortly before is taken")]
     Thinned,
     /// The value maps to no value of the state.
-    #[error("the value {0:?} stands for no value of the state")]
+    #[error("the value {0:?} means no value of the state")]
     LeftOut(String),
     /// The sensor has seen nothing, or the grid has no known cells.
     #[error("{0}")]
     Nothing(&'static str),
     /// The rays of a cloud in a frame that does not move have no known beginning.
     #[error(
-        "its points are in {0:?} already, so where the sensor was is not known; --frame {0} takes it as the sensor's place"
+        "its points are in {0:?} already, so the sensor's place is unknown; --frame {0} takes it as the sensor's place"
     )]
     NoSensor(String),
     /// Values of the message are wrong.

@@ -14,7 +14,7 @@ use crate::{
 /// The number of first bytes of a file that [`FileKind::detect`] reads.
 pub const DETECT_BYTES: usize = 512;
 
-const UNPACK: &str = "this is a packed file: unpack it first, then import what is inside";
+const UNPACK: &str = "this is a packed file: unpack it first, then import its content";
 
 /// The first bytes of files of other kinds, and advice for them.
 const OTHERS: [(&[u8], &str); 14] = [
@@ -97,7 +97,7 @@ fn what_it_is(bytes: &[u8]) -> String {
     }
     let first_line = bytes.split(|byte| matches!(byte, b'\n' | b'\r')).next().unwrap_or_default();
     if first_line.contains(&b',') && first_line.iter().all(|byte| *byte >= b' ' || *byte == b'\t') {
-        return "this looks like a table in CSV, no recording: see `tidemap observe`".to_owned();
+        return "this seems to be a table in CSV, no recording: see `tidemap observe`".to_owned();
     }
     let first = bytes[..bytes.len().min(16)].escape_ascii();
     format!("this is no recording that is known: bags of ROS 1, rosbag2 and MCAP are read. It begins with \"{first}\"")

@@ -183,7 +183,7 @@ fn topic_plan(topic: &TopicSurvey, wishes: &Wishes) -> Result<TopicPlan, PlanErr
         return Ok(TopicPlan { is_transforms: true, ..TopicPlan::default() });
     }
     if !wishes.topics.is_empty() && !wishes.topics.contains(&topic.name) {
-        return skipped("it is not among the topics that were asked for".to_owned());
+        return skipped("it is not among the requested topics".to_owned());
     }
     let plan = if is_mapped(topic, mapping) { mapped(topic, mapping)? } else { usual(topic) };
     if plan.is_observed() && topic.messages == 0 {

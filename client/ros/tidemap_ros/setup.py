@@ -20,7 +20,7 @@ setup(
     zip_safe=True,
     maintainer="The tidemap contributors",
     maintainer_email="tidemap@users.noreply.github.com",
-    description="Maps that learn when: sends what a robot sees to tidemap, and publishes the map of any time",
+    description="Maps that learn when: sends observations of a robot to tidemap, and publishes the map of any time",
     license="MIT OR Apache-2.0",
     entry_points={"console_scripts": ["tidemap_node = tidemap_ros.node:main"]},
 )

@@ -98,7 +98,7 @@ impl SecureConnector {
         let handshake = async {
             let mut stream = self.tls.connect(name, stream).await?;
             if stream.get_ref().1.alpn_protocol() != Some(HTTP2) {
-                return Err(io::Error::new(io::ErrorKind::InvalidData, "the other side does not speak HTTP/2"));
+                return Err(io::Error::new(io::ErrorKind::InvalidData, "the other side does not use HTTP/2"));
             }
             let mut first = vec![0; FIRST_BYTES];
             let count = stream.read(&mut first).await?;

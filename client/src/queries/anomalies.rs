@@ -171,7 +171,7 @@ impl AnomalyWatch {
 fn found(reply: v1::FindAnomaliesResponse, asked: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
     let v1::FindAnomaliesResponse { times_nanos, values, probabilities, .. } = reply;
     if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| asked.contains(time)) {
-        return Err(Error::Protocol("anomalies are not those that were asked for"));
+        return Err(Error::Protocol("anomalies are not those that were requested"));
     }
     rows(times_nanos, values, probabilities)
 }

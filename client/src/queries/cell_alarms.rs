@@ -67,7 +67,7 @@ impl CellAlarms {
 
 fn from_wire(wire: v1::CellAlarm) -> Result<CellAlarm, Error> {
     let Some(Ok(cell)) = CellIndex::from_name(&wire.state) else {
-        return Err(Error::Protocol("an alarm of what is no cell"));
+        return Err(Error::Protocol("an alarm of something that is no cell"));
     };
     if wire.change_date.is_empty() {
         return Err(Error::Protocol("an alarm without a date"));

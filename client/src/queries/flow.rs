@@ -115,7 +115,7 @@ impl Flows {
         let v1::FlowCells { time_index, indices, expected_counts, shares } = piece;
         let is_whole = expected_counts.len() == indices.len() && shares.len() == indices.len() * self.directions;
         let cells = self.times.get_mut(time_index as usize).filter(|_| is_whole && self.directions > 0);
-        let cells = cells.ok_or(Error::Protocol("a flow is not the one that was asked for"))?;
+        let cells = cells.ok_or(Error::Protocol("a flow is not the one that was requested"))?;
         for ((&cell, &expected_count), shares) in
             indices.iter().zip(&expected_counts).zip(shares.chunks(self.directions))
         {

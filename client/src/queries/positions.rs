@@ -153,7 +153,7 @@ impl Positions {
             return if self.next == self.times { Ok(None) } else { Err(Error::Protocol("positions are missing")) };
         };
         if first.time_index as usize != self.next || self.next >= self.times {
-            return Err(Error::Protocol("positions are not those that were asked for"));
+            return Err(Error::Protocol("positions are not those that were requested"));
         }
         let mut forecast = PositionForecast { time: self.next, ..PositionForecast::default() };
         forecast.expected_m.clone_from(&first.expected_m);

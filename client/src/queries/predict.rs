@@ -213,7 +213,7 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
     let fits_too = |column: &Vec<f64>| column.is_empty() || column.len() == count;
     let columns = [&reply.lower, &reply.upper, &reply.masses, &reply.entropies_bits];
     if !in_order || !fits || !columns.into_iter().all(fits_too) {
-        return Err(Error::Protocol("predictions are not those that were asked for"));
+        return Err(Error::Protocol("predictions are not those that were requested"));
     }
     *next = match time + count {
         // The daemon knows the number of labels.

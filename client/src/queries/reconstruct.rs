@@ -59,7 +59,7 @@ fn checked(reply: v1::ReconstructResponse, asked: std::ops::Range<i64>) -> Resul
     let v1::ReconstructResponse { times_nanos, values } = reply;
     let ascending = times_nanos.is_sorted() && times_nanos.iter().all(|time| asked.contains(time));
     if times_nanos.len() != values.len() || !ascending {
-        return Err(Error::Protocol("observations are not those that were asked for"));
+        return Err(Error::Protocol("observations are not those that were requested"));
     }
     Ok(times_nanos.into_iter().zip(values).collect())
 }

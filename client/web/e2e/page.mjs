@@ -277,7 +277,7 @@ try {
         const said = await page.getByTestId('tour').getByRole('row').nth(1).getByRole('cell').nth(2).innerText();
         assert.ok(Math.abs(parseFloat(said) - Number(rows[0].information_bits)) < 0.01, `${said} is not ${rows[0].information_bits}`);
         await page.getByTestId('layer').selectOption('look');
-        await page.getByTestId('legend').getByText('What one look around (4 m) teaches').waitFor();
+        await page.getByTestId('legend').getByText('Information of one view around (4 m)').waitFor();
         await page.getByTestId('legend').getByText(/^\d+\.\d bits$/).waitFor();
     });
 
@@ -349,7 +349,7 @@ try {
         await page.getByTestId('heat-strip').locator('canvas').first().waitFor();
         await page.screenshot({ path: join(folder, 'changes.png') });
         await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T14:00:00Z&select=contact`);
-        await page.getByText('No value was known then.').waitFor();
+        await page.getByText('There was no value then.').waitFor();
         // The hours of the strip: all of 10:00, half of 12:00, then nothing.
         await page.goto(`${daemon.http}/maps/contacts?at=2025-03-20T10:00:00Z&hours=observed`);
         await page.getByLabel('Search states').fill('contact');

@@ -103,17 +103,17 @@ fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelect
     let blend: Result<ModelSelector, _> = format!("{}{suffix}", of_catalogue.name()).parse();
     let blend = blend.map_err(|wrong| ProtocolError::model(written.line, written, wrong.to_string()))?;
     if of_catalogue.takes_newest() {
-        let wrong = format!("{name} answers from the newest reading as it is: leave out {suffix}");
+        let wrong = format!("{name} uses the newest reading as it is: leave out {suffix}");
         return Err(ProtocolError::model(written.line, written, wrong));
     }
     if blend.blend == Blend::Belief {
-        let wrong = "+belief is learned by a map: import the files and ask it, or use +memory here".to_owned();
+        let wrong = "+belief is learned by a map: import the files into one, or use +memory here".to_owned();
         return Err(ProtocolError::model(written.line, written, wrong));
     }
     if !has_newest {
         let wrong = format!(
-            "{suffix} draws predictions towards the newest reading, and nothing says which reading that is: write how \
-             far ahead to predict in a comparison, as in ahead: [next, 1h, 24h], or leave it out"
+            "{suffix} draws predictions towards the newest reading, and nothing specifies which reading that is: write \
+             how far ahead to predict in a comparison, as in ahead: [next, 1h, 24h], or leave it out"
         );
         return Err(ProtocolError::model(written.line, written, wrong));
     }
@@ -144,8 +144,8 @@ fn entry(model: &RawModel, allowed: Allowed) -> Result<ModelEntry, ProtocolError
         }
         if values.words.len() > 1 && !tunes && lists == Lists::Tuned {
             let wrong = format!(
-                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value, or \
-                 lists: {EACH} to compare all",
+                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value, \
+                 or lists: {EACH} to compare all",
                 values.words.len()
             );
             return Err(ProtocolError::model(values.line, written, wrong));
@@ -163,7 +163,7 @@ fn name(values: &Words) -> Result<String, ProtocolError> {
         [word] if !word.text.is_empty() => Ok(word.text.clone()),
         words => {
             let text = words.iter().map(|word| word.text.as_str()).collect::<Vec<_>>().join(", ");
-            Err(ProtocolError::value(NAME, &Word { line: values.line, text }, "one word to call the model by"))
+            Err(ProtocolError::value(NAME, &Word { line: values.line, text }, "one word as the name of the model"))
         }
     }
 }

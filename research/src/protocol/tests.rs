@@ -114,8 +114,8 @@ fn an_unknown_model_is_named_with_the_models_there_are() {
 fn wrong_parameters_are_named_with_the_right_ones() {
     assert_eq!(
         refused_with("bins: [12, 24]", "bims: [12, 24]"),
-        "line 9: model histogram: \"bims\" is not a parameter of it: use bins, cycle, smoothing_bins, prior_readings or \
-         name"
+        "line 9: model histogram: \"bims\" is not a parameter of it: use bins, cycle, smoothing_bins, prior_readings \
+         or name"
     );
     assert_eq!(
         refused_with("  - mean", "  - mean: {order: 3}"),
@@ -196,7 +196,7 @@ fn wrong_lags_and_blends_are_named() {
         ("next, 90m", "", "line 4: ahead is \"a list of 0\": it has to be 1 to 32 times"),
         ("mean+memory", "mean+luck", "line 5: model mean+luck: \"mean+luck\": the only suffixes are +belief"),
         ("mean+memory", "mad+memory", "line 5: model is \"mad+memory\": it has to be one of: mean, latest"),
-        ("mean+memory", "latest+memory", "line 5: model latest+memory: latest answers from the newest reading"),
+        ("mean+memory", "latest+memory", "line 5: model latest+memory: latest uses the newest reading"),
         ("ahead: [next, 90m]", "retrain: each", "line 5: model mean+memory: +memory draws predictions towards the"),
     ] {
         let message = refused(&LAGS.replacen(from, to, 1));

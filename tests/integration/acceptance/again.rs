@@ -54,9 +54,9 @@ fn a_file_that_differs_is_refused_and_nothing_is_sent() {
     assert_ne!(changed, rows[7]);
     other[7] = &changed;
     fs::write(&file, other.join("\n") + "\n").expect("a file");
-    door.observe(&file, &[]).fails(1, &["train.csv", "differs from what camera sent as train.csv", "nothing was sent"]);
+    door.observe(&file, &[]).fails(1, &["train.csv", "that camera sent as train.csv", "nothing was sent"]);
     fs::write(&file, rows[..=500].join("\n") + "\n").expect("a file");
-    door.observe(&file, &[]).fails(1, &["differs from what camera sent", "500", "1000"]);
+    door.observe(&file, &[]).fails(1, &["differs from the data that camera sent", "500", "1000"]);
     assert_eq!(door.tidemap(["map", "show", "door"]).table().number("observations"), 1_000.0);
 
     // With another label it counts as another file.

@@ -52,11 +52,7 @@ fn a_mapping_gives_states_kinds_values_and_what_reports_are() {
     // Half of the 24 messages have a mode with a meaning; people and celsius always have one.
     assert_eq!(counts(&table, "/doors"), [12 + 24 + 24, 12, 0]);
     assert_eq!(counts(&table, "/activity"), [16, 8, 0]);
-    assert!(
-        import.stderr.contains("the value \"unknown\" stands for no value of the state, 8 times"),
-        "{}",
-        import.stderr
-    );
+    assert!(import.stderr.contains("the value \"unknown\" means no value of the state, 8 times"), "{}", import.stderr);
     let states = words(&daemon, "state list home").table();
     let kind = |name: &str| {
         let row = states.column("state").iter().position(|state| *state == name)?;

@@ -66,7 +66,7 @@ fn recordings_with_nothing_to_take_or_of_an_old_version_say_so() {
     let (_folder, daemon) = started();
     let bags = bags.display();
     let turtles = words(&daemon, &format!("import turtles {bags}/turtlesim-lz4.bag"));
-    turtles.fails(1, &["nothing can be made of these recordings"]);
+    turtles.fails(1, &["no observations can be made from these recordings"]);
     let mumble = words(&daemon, &format!("import mumble {bags}/mumble"));
     assert_eq!(counts(&mumble.table_with(1), "/scan"), [0, 508, 0]);
     mumble.fails(1, &["--frame laser_frame", "none of these messages has a place"]);

@@ -83,7 +83,7 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     for number in 0..40 {
         let listed = cli::command(&server, ["--tls-ca", &trusted, "map", "list"]).output().expect("tidemap runs");
         let said = String::from_utf8_lossy(&listed.stderr).into_owned();
-        let is_told = said.contains("--tls-cert") && said.contains("asks for a certificate of the client");
+        let is_told = said.contains("--tls-cert") && said.contains("requires a certificate of the client");
         assert!(is_told, "try {number}: {said}");
     }
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));

@@ -118,7 +118,7 @@ fn a_recording_is_imported_once_and_its_file_is_gone() {
     assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 40), "{said}");
     let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door_that_begins(false, 40)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (1, 40), "{said}");
-    assert!(said.contains("door.bag differs from what upload sent as upload/door.bag"), "{said}");
+    assert!(said.contains("door.bag differs from the data that upload sent as upload/door.bag"), "{said}");
     let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag?producer=robot-7", &[], &door(10)));
     assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 50), "{said}");
     assert!(is_empty(data.path()));

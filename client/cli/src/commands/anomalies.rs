@@ -33,7 +33,7 @@ pub(crate) struct AnomaliesArgs {
     /// Names of states, or patterns such as 'door-*'; none for all named states; with --model one name, or cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// How sure the model has to be of the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
+    /// Minimum confidence of the model in the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
     /// --watch. For other kinds of states: the confidence of the interval that a value has to lie outside of
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = number)]
     confidence: f64,
@@ -81,8 +81,9 @@ fn number(text: &str) -> Result<f64, String> {
 fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
     if is_kept && !(KEPT_CONFIDENCE..=1.0).contains(&confidence) {
         return Err(UsageError(format!(
-            "--confidence {confidence}: what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on, so use \
-             {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above 0.5"
+            "--confidence {confidence}: unusual observations are kept from a confidence of {KEPT_CONFIDENCE} on, so \
+             use {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above \
+             0.5"
         )));
     }
     match confidence > 0.5 && confidence <= 1.0 {

@@ -20,13 +20,13 @@ pub(crate) struct ClassifyArgs {
     map: String,
     /// Name of a categorical state
     state: String,
-    /// How likely each label makes what was observed, at any scale; that of a label that is not named is 0
+    /// Likelihood of the observation for each label, at any scale; that of a label that is not named is 0
     #[arg(long = "likelihood", value_name = "LABEL=NUMBER,…", value_delimiter = ',', required = true, value_parser = likelihood)]
     likelihoods: Vec<(String, f64)>,
-    /// When it was observed [default: now]
+    /// Time of the observation [default: now]
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: Option<i64>,
-    /// Where it was observed
+    /// Place of the observation
     #[arg(long, value_name = "PLACE")]
     place: Option<String>,
     /// Model of the probabilities by time: auto, mean, latest or spectral

@@ -40,17 +40,17 @@ pub(crate) struct ClusterLost(pub(crate) String);
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum ClusterCommand {
-    /// Shows the members of the cluster, and says what needs attention
+    /// Shows the members of the cluster, with warnings and errors
     ///
-    /// All members are asked. The exit status is 0 if all is well, 1 if there is a warning, and 2 if there is an error:
-    /// a map has no writer, a log has forked, digests differ, or the engine or nobody answers. Warnings and errors go
-    /// to stderr.
+    /// The command contacts all members. The exit status is 0 if all is well, 1 if there is a warning, and 2 if there
+    /// is an error: a map has no writer, a log has forked, digests differ, or the engine or all members do not respond.
+    /// Warnings and errors go to stderr.
     Status,
     /// Shows the role of each member for each map
     ///
-    /// lag_records is how far the member is behind the others; heard_secs is the time since it heard where the shared
-    /// log ends. digest is that of the newest generation since the member's start, and equal says whether it is the
-    /// writer's. The exit status means what that of `cluster status` means.
+    /// lag_records is how far the member is behind the others; heard_secs is the time since it last received the end of
+    /// the shared log. digest is that of the newest generation since the member's start, and equal states whether it is
+    /// the writer's. The exit status is that of `cluster status`.
     Maps,
     /// Pins a map to a member, which is to write it, and waits until it does
     ///
@@ -67,19 +67,19 @@ pub(crate) enum ClusterCommand {
     /// For a machine that does not come back. The member must have been silent for 5 seconds. If its daemon starts
     /// again, it is listed again.
     Forget(ForgetArgs),
-    /// Compares the logs and the newest digests of a map on all members that answer
+    /// Compares the logs and the newest digests of a map on all members that respond
     ///
     /// Logs are compared at a position that all of these members have. The exit status is 2 if something differs, and 1
-    /// if a member does not answer or no longer keeps the records.
+    /// if a member does not respond or no longer keeps the records.
     Verify(VerifyArgs),
     /// Takes the observations of a map's forks into the map again, and removes forks of which it has everything
     ///
     /// A fork is records that a member set aside because the shared log does not have them. Their observations are sent
     /// to the map as from their producers, under their numbers, so that it has each of them once. Scans, traversals,
-    /// sightings and reports of tasks cannot be sent again, and neither can what follows them in their sequences, or
-    /// observations of a producer that has begun anew. Values are compared by a checksum only, where the map still has
-    /// one. With --accept-loss the forks are removed all the same; what the map lacks of them is lost. The exit status
-    /// is 2 while forks are left, and 1 if a member does not answer.
+    /// sightings and reports of tasks cannot be sent again, and neither can the records after them in their sequences,
+    /// or observations of a producer that has begun anew. Values are compared by a checksum only, where the map still
+    /// has one. With --accept-loss the forks are removed all the same; records that the map lacks are lost. The exit
+    /// status is 2 while forks are left, and 1 if a member does not respond.
     Heal(HealArgs),
 }
 
@@ -120,10 +120,10 @@ pub(crate) struct VerifyArgs {
 pub(crate) struct HealArgs {
     /// Name of the map
     map: String,
-    /// Remove all forks, also those of which the map lacks something; those records are lost
+    /// Remove all forks, also those with records that the map lacks; these records are lost
     #[arg(long)]
     accept_loss: bool,
-    /// Show what the forks hold; take in nothing and remove nothing
+    /// Show the contents of the forks; take in nothing and remove nothing
     #[arg(long, conflicts_with = "accept_loss")]
     dry_run: bool,
 }

@@ -31,7 +31,7 @@ pub struct ConnectionArgs {
     /// Certificates of the authorities that the daemon's certificate may come from (PEM); https:// needs them
     #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CA", value_name = "FILE")]
     tls_ca: Option<PathBuf>,
-    /// Certificate of this client (PEM), for a daemon that asks for one
+    /// Certificate of this client (PEM), for a daemon that requires one
     #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CERT", value_name = "FILE", requires = "tls_key")]
     tls_cert: Option<PathBuf>,
     /// Private key of --tls-cert (PEM)
@@ -40,7 +40,7 @@ pub struct ConnectionArgs {
     /// Format of the results [default: table on a terminal, csv otherwise]
     #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
     output: Option<Format>,
-    /// How tables show times; CSV and JSON always have Unix seconds
+    /// Format of times in tables; CSV and JSON always have Unix seconds
     #[arg(id = "time_style", long = "time", global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "STYLE", default_value = "local")]
     time: TimeArg,
 }

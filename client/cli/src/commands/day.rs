@@ -51,7 +51,7 @@ pub(crate) struct DayArgs {
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
     #[arg(long, conflicts_with_all = ["model", "views", "tours", "task_states"])]
     exactly_one: bool,
-    /// How the worth of a look is measured
+    /// Measure of the value of an observation
     #[arg(long, value_name = "MEASURE", default_value = "ral", conflicts_with_all = ["exactly_one", "views", "tours"])]
     information: MeasureArg,
     /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
@@ -77,7 +77,7 @@ pub(crate) struct DayArgs {
     /// Node where the robot is at first [default: that nearest to the charger, or of a task of the kind charge]
     #[arg(long, value_name = "NODE", requires = "tasks")]
     start_node: Option<String>,
-    /// From when on the robot is ready [default: the beginning of the day]
+    /// Time from which the robot is ready [default: the beginning of the day]
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "tasks")]
     ready: Option<i64>,
     /// Keeps the plan in the map, for plan show
@@ -138,7 +138,7 @@ const COLUMNS: [&str; 5] = ["slot", "start", "location", "information_bits", "ta
 
 pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     args.drawing.check()?;
-    let title = format!("{}: what to explore on {}", args.map, args.date);
+    let title = format!("{}: plan of the exploration on {}", args.map, args.date);
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Some(Budget::Visits(slots as usize)),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
@@ -212,8 +212,8 @@ fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
         let why = match reason {
             UnservedReason::NoWindow => "its window is over, or the robot cannot arrive early enough",
             UnservedReason::Unreachable => "no way leads to its node",
-            UnservedReason::NoValue => "it is worth nothing at that time",
-            UnservedReason::NoTime => "there is no time for it beside tasks that are worth more",
+            UnservedReason::NoValue => "its value is 0 at that time",
+            UnservedReason::NoTime => "there is no time for it beside tasks of higher value",
             UnservedReason::UnknownNode => "the topology has no such node",
             UnservedReason::UnknownState => "the map has no such state, or it is no probability",
         };

@@ -17,10 +17,10 @@ pub(crate) struct EraseArgs {
     /// Name of the state; a position or an angle is erased with all its axes [default: all states]
     #[arg(long, value_name = "STATE", required_unless_present_any = ["producer", "from", "to"])]
     state: Option<String>,
-    /// Only what this producer observed
+    /// Only the observations of this producer
     #[arg(long, value_name = "ID")]
     producer: Option<String>,
-    /// Only what it sent with this label, which is the base name of a file [default: all its labels]
+    /// Only the observations that it sent with this label, which is the base name of a file [default: all its labels]
     #[arg(long, value_name = "LABEL", requires = "producer")]
     label: Option<String>,
     /// Only from this time on

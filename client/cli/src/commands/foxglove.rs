@@ -45,14 +45,14 @@ pub(crate) struct FoxgloveArgs {
     /// Address to listen on; another than one of this machine alone needs --allow-insecure-remote
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1")]
     listen: IpAddr,
-    /// Listen where other machines reach the server: whoever does so sees the map, for there is neither a key nor
+    /// Listen where other machines reach the server: they then see the map, because there is neither a key nor
     /// encryption
     #[arg(long)]
     allow_insecure_remote: bool,
     /// Beginning of the time bar [default: the first observation]
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     from: Option<i64>,
-    /// How far the time bar reaches into the future
+    /// Length of the time bar after now
     #[arg(long, value_name = "DURATION", value_parser = times::duration, default_value = "7d")]
     ahead: i64,
     /// Name or pattern of states to show, such as 'door-*'; may be repeated [default: all]
@@ -86,8 +86,8 @@ struct Served {
 pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result<ExitCode> {
     if !args.listen.is_loopback() && !args.allow_insecure_remote {
         return Err(usage(format!(
-            "--listen {}: whoever reaches the server sees the map, for there is neither a key nor encryption. Use a tunnel \
-             (ssh -L), or say --allow-insecure-remote",
+            "--listen {}: all who reach the server see the map, because there is neither a key nor encryption. Use a \
+             tunnel (ssh -L), or add --allow-insecure-remote",
             args.listen
         )));
     }
@@ -122,7 +122,7 @@ pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result
     }
     if !args.listen.is_loopback() {
         status_line(&format!(
-            "warning: whoever reaches {} sees map {name:?}: this server has no key and no encryption",
+            "warning: all who reach {} see map {name:?}: this server has no key and no encryption",
             args.listen
         ));
     }

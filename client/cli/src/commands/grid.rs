@@ -25,7 +25,7 @@ pub(crate) enum GridCommand {
     /// The ending gives the format: .tms is a file of scans with their own times (see the guide); .pcd and .ply are
     /// point clouds, each one scan, ray-cast from --pose; .bt and .ot (OctoMap) and .yaml or .pgm (Nav2) are maps,
     /// whose known cells count as observed at that time. The same producer and label continue where they stopped; scans
-    /// that differ from what was sent are refused.
+    /// that differ from those sent before are refused.
     Observe(observe::GridObserveArgs),
     /// Writes the map at any time, past or future, to a file
     ///
@@ -34,8 +34,8 @@ pub(crate) enum GridCommand {
     Predict(predict::GridPredictArgs),
     /// Lists the cells whose routine seems to have changed: since when, their mean and their newest value
     ///
-    /// A cell is listed while its change alarm rings: its predictions have been worse than before, day after day. See
-    /// model show for one cell.
+    /// A cell is listed while its change alarm is active: its predictions have been worse than before, day after day.
+    /// See model show for one cell.
     Changed(changed::GridChangedArgs),
 }
 

@@ -10,10 +10,10 @@ use clap::Command;
 const GROUPS: [(&str, &[&str]); 8] = [
     ("Try it", &["demo", "sample", "open"]),
     ("Make maps", &["map", "state", "location"]),
-    ("Send what robots see and do", &["import", "observe", "grid", "traverse", "visit"]),
-    ("Learn, and look at models", &["update", "model", "evaluate"]),
+    ("Send observations and reports", &["import", "observe", "grid", "traverse", "visit"]),
+    ("Learn, and examine models", &["update", "model", "evaluate"]),
     (
-        "Predict, and look back",
+        "Predict, and examine the past",
         &["predict", "classify", "position", "presence", "joint", "export", "foxglove", "reconstruct", "anomalies"],
     ),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),

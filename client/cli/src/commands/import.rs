@@ -48,13 +48,14 @@ pub(crate) struct ImportArgs {
     /// other
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// What to make of topics, in addition to or instead of the usual: a YAML file
+    /// Mapping of topics to observations, in addition to or instead of the usual one: a YAML file
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
-    /// Shows what is in the recordings and what would be made of it, and sends nothing; needs no daemon
+    /// Shows the contents of the recordings and the observations that would be made of them, and sends nothing; needs
+    /// no daemon
     #[arg(long)]
     list: bool,
-    /// Topics to take, such as /scan,/door [default: all of which something can be made]
+    /// Topics to take, such as /scan,/door [default: all from which observations can be made]
     #[arg(long, value_name = "TOPIC,…", value_delimiter = ',')]
     topics: Vec<String>,
     /// Frame in which everything is placed [default: map, else odom, else the root above the sensors]
@@ -75,7 +76,7 @@ pub(crate) struct ImportArgs {
     /// Nearer readings are left out, such as those of the robot itself [default: the limit of the sensor; of clouds 0]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     min_range: Option<f32>,
-    /// Of the scans, clouds and grids of a topic, takes one in each of these times, such as 1s [default: all]
+    /// Takes one scan, cloud or grid of a topic in each interval of this length, such as 1s [default: all]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     period: Option<i64>,
     /// Casts a ray to each point of a cloud; by default one to each cell in which points lie
@@ -126,7 +127,7 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
     }
     if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
         list::print(session, &planned)?;
-        status_line("nothing can be made of these recordings: --mapping says what to make of other topics");
+        status_line("no observations can be made from these recordings: use --mapping for other topics");
         return Ok(ExitCode::FAILURE);
     }
     list::tell(&planned);
@@ -186,7 +187,7 @@ async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::
     }
     transfer.counts().tell(&planned.surveyed);
     if matches!(end, TransferEnd::Stopped(_) | TransferEnd::Interrupted) {
-        status_line("the same command again sends what is missing");
+        status_line("the same command again sends the missing observations");
     }
     let what_to_do = if differs {
         format!(

@@ -36,7 +36,7 @@ pub(crate) struct InfoArgs {
     /// Without other targets: the side of the areas of the grid, metres
     #[arg(long, value_name = "METRES", default_value = "2", conflicts_with_all = ["states", "locations", "views"])]
     area: areas::Side,
-    /// Without other targets: how many areas are shown
+    /// Without other targets: the number of areas that are shown
     #[arg(long, value_name = "N", default_value_t = 20, conflicts_with_all = ["states", "locations", "views"])]
     count: usize,
     /// Model: those of predict, each optionally with +belief, +persistence or +memory

@@ -38,7 +38,7 @@ const CHUNK: usize = 1_000;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum LandmarkCommand {
-    /// Adds the landmarks of a file; one that exists is replaced, and keeps what was learned of it
+    /// Adds the landmarks of a file; one that exists is replaced, and keeps its learned data
     ///
     /// The file has a header and the columns place and name, in any order. Place is a node, or an edge
     /// FROM/TO[/ACTION]. Image features have u_px, v_px and descriptor (hexadecimal digits), those of edges along_m as
@@ -68,7 +68,7 @@ pub(crate) enum LandmarkCommand {
     /// The file has a header and the columns u_px, v_px and descriptor (hexadecimal digits). heading_px is how far the
     /// features are to the right of where the landmarks were.
     Locate(LocateArgs),
-    /// Removes landmarks; what was learned of them stays for one of the same name that is added again
+    /// Removes landmarks; their learned data stays for one of the same name that is added again
     Remove {
         /// Name of the map
         map: String,
@@ -83,16 +83,16 @@ pub(crate) enum LandmarkCommand {
     Prune {
         /// Name of the map
         map: String,
-        /// Removes those that were seen in less than this share of the sightings, above 0, at most 1
+        /// Removes landmarks that were seen in less than this share of the sightings, above 0, at most 1
         #[arg(long, value_name = "SHARE")]
         below: f64,
-        /// Keeps those that were in view in fewer sightings
+        /// Keeps landmarks that were in view in fewer sightings
         #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
         min_sightings: u64,
-        /// Only those of this node, or edge FROM/TO[/ACTION]
+        /// Only landmarks of this node, or edge FROM/TO[/ACTION]
         #[arg(long, value_name = "PLACE", value_parser = place_of)]
         place: Option<PlaceName>,
-        /// Shows what would be removed, and removes nothing
+        /// Shows the landmarks that would be removed, and removes none
         #[arg(long)]
         dry_run: bool,
     },
@@ -104,7 +104,7 @@ pub(crate) struct AddArgs {
     map: String,
     /// File with the landmarks; - is stdin
     file: PathBuf,
-    /// Name of what computes the descriptors, such as orb or grief-256; a map has descriptors of one kind
+    /// Name of the method that computes the descriptors, such as orb or grief-256; a map has descriptors of one kind
     #[arg(long, value_name = "KIND", default_value = "", hide_default_value = true)]
     descriptors: String,
     /// File with the velocity profile of the edge, up to 64 KiB, for a file of landmarks of one edge
@@ -152,7 +152,7 @@ pub(crate) struct LocateArgs {
     map: String,
     /// File with the features of an image; - is stdin
     file: PathBuf,
-    /// When the image was taken
+    /// Time of the image
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
     /// Number of landmarks of each node to compare, the most probable ones
@@ -324,7 +324,7 @@ async fn remove(
 ) -> anyhow::Result<ExitCode> {
     let removed = session.client.remove_landmarks(map, selection, is_dry_run).await?;
     if is_dry_run {
-        status_line("nothing is removed: this is what would be");
+        status_line("nothing is removed: these landmarks would be removed");
     }
     let of_place = |(place, names): (PlaceName, Vec<String>)| {
         names.into_iter().map(move |name| vec![Cell::Text(place.to_string()), Cell::Text(name)])

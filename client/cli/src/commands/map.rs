@@ -78,7 +78,7 @@ pub(crate) struct CreateArgs {
     /// Criterion by which the order of the spectral model is chosen
     #[arg(long, value_name = "CRITERION", default_value = "squared-error")]
     order_criterion: Criterion,
-    /// How long the history of exact observations of named states is kept: none, forever or a duration [default:
+    /// Time for which the history of exact observations of named states is kept: none, forever or a duration [default:
     /// forever]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention)]
     retention: Option<Retention>,
@@ -86,7 +86,7 @@ pub(crate) struct CreateArgs {
     /// [,hit=P][,false-alarm=P][,prior=P]; resolution and origin in metres, the others in cells [default: none]
     #[arg(long, value_name = "SPEC")]
     grid: Option<GridArg>,
-    /// How long the history of exact cell observations is kept: none, forever or a duration [default: none]
+    /// Time for which the history of exact cell observations is kept: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
     /// Age, from the newest reading of a cell, at which its readings have half their weight, so that old routines are

@@ -5,14 +5,14 @@
 use clap::ValueEnum;
 use tidemap_client::exploration::InformationMeasure;
 
-/// How the worth of a look is measured.
+/// Measure of the value of an observation.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum MeasureArg {
-    /// The gain as published in RA-L 2016: what is known of a state after the look
+    /// The gain as published in RA-L 2016: the information about a state after the observation
     Ral,
-    /// What the look teaches of later ones
+    /// The information that the observation gives about later ones
     Learn,
-    /// The gain plus four times what is learned
+    /// The gain plus four times the information about later ones
     Both,
 }
 

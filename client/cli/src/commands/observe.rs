@@ -95,7 +95,7 @@ pub(crate) struct SenderArgs {
     /// Runs the nightly update whenever the data passes the map's local midnight
     #[arg(long)]
     nightly: bool,
-    /// How long to keep trying when the daemon cannot be reached
+    /// Time to keep trying when the daemon cannot be reached
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = times::duration_or_none)]
     patience: i64,
 }
@@ -351,7 +351,7 @@ async fn tell_ahead(session: &Session, map: &str) {
     if !counted.is_empty() {
         status_line(&format!(
             "map {map:?} has {counted} with times ahead of the daemon's clock: updates learn them when their time has \
-             come. If these times are wrong, look at the clock of the robot, and at the unit and the UTC offset of the \
+             come. If these times are wrong, check the clock of the robot, and the unit and the UTC offset of the \
              times sent"
         ));
     }
@@ -374,7 +374,9 @@ pub(super) fn exit_code(
         TransferEnd::Stopped(error) => Err(error.into()),
         TransferEnd::Differs(how) => {
             let ProducerOptions { producer, label, .. } = options;
-            anyhow::bail!("{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. {what_to_do}")
+            anyhow::bail!(
+                "{shown} differs from the data that {producer} sent as {label}: {how}; nothing was sent. {what_to_do}"
+            )
         }
     }
 }
@@ -461,8 +463,8 @@ async fn report_outages(mut progress: watch::Receiver<Progress>, bar: Bar, patie
         if seen.store_changes > store_changes {
             store_changes = seen.store_changes;
             bar.status_line(&format!(
-                "the daemon has another data folder than before (store id {}): what was acknowledged before may be missing. \
-                 Was a backup restored, or is a disk not mounted?",
+                "the daemon has another data folder than before (store id {}): data that was acknowledged before may \
+                 be missing. Was a backup restored, or is a disk not mounted?",
                 seen.store_id
             ));
         }

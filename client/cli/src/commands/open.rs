@@ -27,7 +27,7 @@ pub(crate) struct OpenArgs {
     /// Time that the page shows [default: now, or the newest data where these are old]
     #[arg(long, value_name = "TIME", value_parser = time, requires = "map")]
     at: Option<i64>,
-    /// Address of the daemon's HTTP port, without asking the daemon for it
+    /// Address of the daemon's HTTP port, without a request to the daemon for it
     #[arg(long, value_name = "URL", env = "TIDEMAP_PAGE")]
     page: Option<String>,
     /// Prints the address only
@@ -82,9 +82,9 @@ fn served(server: &str, page: &PagePort) -> Result<String, UsageError> {
 async fn page_of(client: &Client, map: &str) -> anyhow::Result<PagePort> {
     match client.page_port(map).await {
         Ok(Some(page)) => Ok(page),
-        Ok(None) => Err(usage("the daemon is too old to say where its page is: name it with --page HOST:PORT")),
+        Ok(None) => Err(usage("the daemon is too old to name its page: give the address with --page HOST:PORT")),
         Err(Error::Server(error)) if error.code == Code::PermissionDenied => {
-            status_line("the token may not ask where the page is: this is the port that it has by default");
+            status_line("the token does not allow a request for the address of the page: this is the default port");
             Ok(PagePort { port: HTTP_PORT, is_loopback: false, has_tls: true, host: String::new() })
         }
         Err(error) => Err(error.into()),

@@ -27,7 +27,7 @@ pub(crate) struct PredictArgs {
     states: Vec<String>,
     #[command(flatten)]
     times: AskedTimesArgs,
-    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    /// Number of spectral components, 0 to 15 [default: the number that the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     #[arg(long, value_name = "KIND", default_value = "auto", help = model_help())]
@@ -133,7 +133,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     if let Some(first) = unlearned.first().filter(|_| session.format == Format::Table) {
         let more = if unlearned.len() > 1 { format!(" and of {} more", unlearned.len() - 1) } else { String::new() };
         status_line(&format!(
-            "nothing is learned yet of {first}{more}: this is what the map expects of any state; tidemap update {} learns",
+            "nothing is learned yet of {first}{more}: this is the map's prior of any state; tidemap update {} learns",
             args.map
         ));
     }

@@ -12,12 +12,12 @@ use super::Session;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum ProducerCommand {
-    /// Lists those who have sent observations to a map, with their last
+    /// Lists the producers that have sent observations to a map, with their last
     List {
         /// Name of the map
         map: String,
     },
-    /// Frees the places of a producer that will not come back; what it has sent stays
+    /// Frees the places of a producer that will not come back; its observations stay
     Forget {
         /// Name of the map
         map: String,

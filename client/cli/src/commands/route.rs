@@ -87,8 +87,8 @@ struct AvoidArgs {
     /// State with the direction of these people: an angle, or a vector with their velocity
     #[arg(long, value_name = "STATE", requires = "avoid")]
     flow: Option<String>,
-    /// What avoiding an encounter is worth, seconds: a second near a person, if people are detected once a second
-    /// [default: 10]
+    /// Value of avoiding an encounter, seconds: a second near a person, if people are detected once a second [default:
+    /// 10]
     #[arg(long, value_name = "SECONDS", requires = "avoid", allow_hyphen_values = true)]
     encounter_cost: Option<f64>,
     /// People within this distance are near, metres [default: 1]
@@ -255,8 +255,8 @@ fn summary(number: usize, route: &NamedRoute, routes: usize) -> String {
     let secs = (route.arrival_nanos - route.departure_nanos) as f64 / 1e9;
     let which = if routes > 1 { format!("route {number}: ") } else { String::new() };
     format!(
-        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s without failures, {:.1} s expected; \
-         departure {}",
+        "{which}passes with probability {:.3} ({lower:.3} to {upper:.3}); {secs:.1} s without failures, {:.1} s \
+         expected; departure {}",
         route.success,
         route.expected_secs,
         route.departure_nanos.div_euclid(1_000_000_000)

@@ -18,8 +18,8 @@ pub(crate) struct FileArgs {
     /// Names of the file's columns, where they are not time, state and value: time=last_changed,state=entity_id
     #[arg(long, value_name = "COLUMN=NAME,…", value_parser = RowRules::parse_columns)]
     columns: Option<ColumnNames>,
-    /// What words of the file stand for, beside usual ones such as on, open and unavailable: ajar=1,jammed=none; none:
-    /// the sensor knows no value
+    /// Meanings of words of the file, beside usual ones such as on, open and unavailable: ajar=1,jammed=none; none: the
+    /// sensor has no value
     #[arg(long, value_name = "WORD=NUMBER,…")]
     values: Option<String>,
 }
@@ -33,7 +33,7 @@ pub(crate) struct RowKindArgs {
     /// unavailable
     #[arg(long, conflicts_with = "events")]
     changes: bool,
-    /// Rows are events, as of a light barrier: they are counted, by the hour unless --hold-step says otherwise
+    /// Rows are events, as of a light barrier: they are counted, by the hour unless --hold-step is given
     #[arg(long)]
     events: bool,
 }
@@ -43,7 +43,7 @@ pub(crate) struct RowKindArgs {
 pub(crate) struct ReportArgs {
     #[command(flatten)]
     rows: RowKindArgs,
-    /// With --changes or --events: the longest time for which a row says something [default: 7d]
+    /// With --changes or --events: the longest time for which a row is valid [default: 7d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     hold_max: Option<i64>,
     /// With --changes or --events: the time between two readings that are learned [default: 5m, 1h for

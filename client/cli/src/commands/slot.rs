@@ -23,7 +23,8 @@ pub(crate) struct SlotArgs {
     /// Location of the day's plan: kept unless something unexpected was observed elsewhere lately
     #[arg(long, value_name = "LOCATION", conflicts_with = "monte_carlo")]
     planned: Option<String>,
-    /// Chooses at random, in proportion to the expected information, instead of the location where a look is worth most
+    /// Chooses at random, in proportion to the expected information, instead of the location where an observation is
+    /// worth most
     #[arg(long)]
     monte_carlo: bool,
     /// Chooses the location where most states are expected to be predicted wrongly
@@ -50,7 +51,7 @@ pub(crate) struct SlotArgs {
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
     #[arg(long)]
     exactly_one: bool,
-    /// How the worth of a look is measured
+    /// Measure of the value of an observation
     #[arg(long, value_name = "MEASURE", default_value = "ral", conflicts_with = "exactly_one")]
     information: MeasureArg,
     /// Seed of the random numbers

@@ -41,11 +41,11 @@ pub(crate) enum StateCommand {
         /// --hit, else updates estimate it]
         #[arg(long, value_name = "P")]
         false_alarm: Option<f64>,
-        /// How the state is reported: samples (each observation is a reading), changes (a value holds until the next
-        /// one), or events (each observation is a number of events, of kind count)
+        /// Kind of reporting: samples (each observation is a reading), changes (a value holds until the next one), or
+        /// events (each observation is a number of events, of kind count)
         #[arg(long, value_name = "HOW", default_value = "samples", value_parser = row_kind)]
         reports: RowKind,
-        /// With changes or events: the longest time for which an observation says something [default: 7d]
+        /// With changes or events: the longest time for which an observation is valid [default: 7d]
         #[arg(long, value_name = "DURATION", value_parser = times::duration)]
         hold_max: Option<i64>,
         /// With changes or events: the time between two readings that are learned [default: 5m, 1h for events]

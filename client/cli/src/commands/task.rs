@@ -23,18 +23,18 @@ const WEEKDAYS: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TaskCommand {
-    /// Adds a task: what a robot does at a node of the topological map; replaces the task of that kind and node
+    /// Adds a task of a robot at a node of the topological map; replaces the task of that kind and node
     Add(Box<AddArgs>),
     /// Lists the tasks of a map
     List {
         /// Name of the map
         map: String,
     },
-    /// Removes a task; what was learned of it stays
+    /// Removes a task; its learned data stays
     Remove {
         /// Name of the map
         map: String,
-        /// What is done
+        /// Kind of work
         kind: String,
         /// Node where it is done
         node: String,
@@ -65,7 +65,7 @@ pub(crate) enum TaskCommand {
 pub(crate) struct AddArgs {
     /// Name of the map
     map: String,
-    /// What is done; the kind charge charges the robot
+    /// Kind of work; the kind charge charges the robot
     kind: String,
     /// Node where it is done
     node: String,
@@ -75,7 +75,7 @@ pub(crate) struct AddArgs {
     /// Local time by which it has ended [default: 24:00]
     #[arg(long, value_name = "HH:MM", value_parser = clock_secs, default_value = "24:00")]
     until: u32,
-    /// How long it takes
+    /// Duration of the work
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     duration: i64,
     /// Does it once in each part of this length between --from and --until
@@ -87,7 +87,7 @@ pub(crate) struct AddArgs {
     /// The only date on which it is done
     #[arg(long, value_name = "YYYY-MM-DD")]
     date: Option<String>,
-    /// What it is worth
+    /// Value of the task
     #[arg(long, value_name = "V", default_value_t = 1.0)]
     value: f64,
     /// State whose probability at the time multiplies the value
@@ -99,14 +99,14 @@ pub(crate) struct AddArgs {
 pub(crate) struct ReportArgs {
     /// Name of the map
     map: String,
-    /// What was done
+    /// Kind of work
     kind: String,
     /// Node where it was done
     node: String,
-    /// When the robot began
+    /// Time when the robot began
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     start: i64,
-    /// When it ended or gave up, within a day [default: now]
+    /// Time when it ended or gave up, within a day [default: now]
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     end: Option<i64>,
     /// Whether it succeeded
@@ -115,7 +115,7 @@ pub(crate) struct ReportArgs {
     /// Reason of a failure, at most 200 characters
     #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
     reason: String,
-    /// Somebody had to help who was not asked to
+    /// Somebody had to help without a request from the robot
     #[arg(long)]
     intervention: bool,
     /// Name of the producer [default: a name for this user and machine, generated once and kept]
@@ -231,7 +231,7 @@ pub(crate) async fn run(session: &Session, command: TaskCommand) -> anyhow::Resu
         }
         TaskCommand::Remove { map, kind, node } => {
             session.client.remove_task(&map, &kind, &node).await?;
-            status_line(&format!("task {kind}/{node} is removed; what was learned of it stays"));
+            status_line(&format!("task {kind}/{node} is removed; its learned data stays"));
             Ok(ExitCode::SUCCESS)
         }
         TaskCommand::Report(args) => report(session, *args).await,

@@ -35,8 +35,8 @@ use tidemap_formats::{
 pub(crate) enum TopologyCommand {
     /// Replaces the nodes and edges with those of a file; those with the same names keep their numbers
     ///
-    /// The content says what a file is, whatever its name: a ROS topological map in YAML (.yaml, .tmap, .tplg, .tmap2),
-    /// or lines `node A`, `link A B SECONDS` (both ways) and `edge A B SECONDS` (one way); - is stdin.
+    /// The content decides the format of a file, whatever its name: a ROS topological map in YAML (.yaml, .tmap, .tplg,
+    /// .tmap2), or lines `node A`, `link A B SECONDS` (both ways) and `edge A B SECONDS` (one way); - is stdin.
     Load {
         /// Name of the map
         map: String,
@@ -72,7 +72,7 @@ pub(crate) enum TopologyCommand {
     ///
     /// reports is the number of reports of the edge; an edge without reports gets the average of the map's edges.
     Predict(EdgeForecastArgs),
-    /// Lists what a robot reaches from one node at one time, the most certain first
+    /// Lists the nodes that a robot reaches from one node at one time, the most certain first
     ///
     /// probability is that of a way without failures, by the route that is the least likely to fail. A node without a
     /// route has the probability 0.

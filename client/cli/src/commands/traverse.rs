@@ -41,10 +41,10 @@ pub(crate) struct TraverseArgs {
     /// Action of the robot on the edge [default: none]
     #[arg(long, value_name = "ACTION", requires = "from")]
     action: Option<String>,
-    /// When the robot started
+    /// Time when the robot started
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     start: Option<i64>,
-    /// When it arrived or gave up, within a day
+    /// Time when it arrived or gave up, within a day
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     end: Option<i64>,
     /// Whether the robot arrived

@@ -25,7 +25,7 @@ const COLUMNS: [&str; 8] = ["state", "order_before", "order", "mse_before", "mse
 
 /// The meanings of the columns, for people.
 const EXPLANATION: [&str; 3] = [
-    "model: what predicts the state from now on; order: the number of rhythms of its spectral model",
+    "model: the model that predicts the state from now on; order: the number of rhythms of its spectral model",
     "scored: learned observations that the model of their day had predicted; mse: the mean squared error of this model on",
     "them, mse_before: of the spectral model with the order before; empty where nothing was scored",
 ];

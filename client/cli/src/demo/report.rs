@@ -31,7 +31,7 @@ pub(super) fn opening(weeks: u32, robots: &[&str], states: usize, address: &str)
     )?;
     writeln!(text, "  A tidemapd of its own (at {address}) takes every observation in over gRPC, and acknowledges")?;
     writeln!(text, "  it once it is on disk. Whenever the data passes midnight, it learns from the day that ended.\n")?;
-    writeln!(text, "  After each week: how far is its forecast of the next day from what then happened?\n")?;
+    writeln!(text, "  After each week: the error of its forecast of the next day.\n")?;
     writeln!(text, "  week  until        observations   mean squared error of the forecast, all {states} states")?;
     writeln!(text, "                     so far         plain mean    tidemap")?;
     Ok(text)
@@ -53,7 +53,7 @@ pub(super) fn week(week: u32, last_day: &str, observations: u64, forecasts: &[Fo
 /// The forecast of a working day, with the model of each state.
 pub(super) fn tomorrow(day: &str, shown: &[(Forecast, ModelDescription)]) -> Result<String, fmt::Error> {
     let mut text = String::new();
-    writeln!(text, "\nTomorrow, {day}, as tidemap expects it, and as it turned out\n")?;
+    writeln!(text, "\nTomorrow, {day}, as tidemap predicts it, and the actual day\n")?;
     for (forecast, model) in shown {
         let (error, plain) = (forecast.error(), forecast.plain_error());
         writeln!(
@@ -86,9 +86,9 @@ pub(super) fn day_off(day: &str, forecasts: &[Forecast], shown: &[&str]) -> Resu
 
 /// The legend of the pictures.
 pub(super) fn lesson() -> &'static str {
-    "What you see
+    "Meanings
   predicted   how probable it is that the door is open, or the room occupied: full bar 1, line 0
-  truth       what then happened: █ open or occupied, · not, ░▒ for a part of these 20 minutes
+  truth       the actual state then: █ open or occupied, · not, ░▒ for a part of these 20 minutes
   by          the model that predicts it. Every night tidemap scores its models on the day that
               ended: sums of 0 to 15 rhythms (spectral), three histograms, a profile of day and week
               (calibrated), recent days. The ensemble weights them by their errors.
@@ -102,15 +102,15 @@ pub(super) fn lesson() -> &'static str {
 /// The last text, after the daemon is removed.
 pub(super) fn ended(program: &str) -> Result<String, fmt::Error> {
     let mut text =
-        String::from("\nThe daemon has been stopped and its data removed. To ask it things yourself, type\n\n");
+        String::from("\nThe daemon has been stopped and its data removed. To send requests to it yourself, type\n\n");
     writeln!(text, "  {program} demo --keep\n")?;
-    writeln!(text, "which leaves it running, and ends with what to type next and the address of its page.")?;
+    writeln!(text, "which leaves it running, and prints the next commands and the address of its page.")?;
     Ok(text)
 }
 
 /// The last text, if the daemon is kept.
 pub(super) fn kept(program: &str, address: &str, http: &str, pid: u32, folder: &Path) -> Result<String, fmt::Error> {
-    let mut text = String::from("\nThe daemon is still running. Ask it:\n\n");
+    let mut text = String::from("\nThe daemon is still running. Send requests to it:\n\n");
     writeln!(text, "  export TIDEMAP_SERVER=http://{address}")?;
     for command in [
         "state list office",
@@ -122,7 +122,7 @@ pub(super) fn kept(program: &str, address: &str, http: &str, pid: u32, folder: &
     }
     writeln!(text, "\nAnd when you have seen enough:\n")?;
     writeln!(text, "  kill {pid}; sleep 1; rm -r {}", folder.display())?;
-    writeln!(text, "\nLook at it in a browser, where time is a slider:\n")?;
+    writeln!(text, "\nOpen it in a browser, where time is a slider:\n")?;
     writeln!(text, "  http://{http}/states/{MAP}?select=kitchen&at=2025-04-16T12:30:00%2B01:00")?;
     Ok(text)
 }

@@ -57,7 +57,7 @@ pub enum InvalidRule {
     #[error("{0:?} is named twice")]
     Twice(String),
     /// The value of a word is not a number.
-    #[error("{word:?} stands for {value:?}: use a number, or none where the sensor knows no value")]
+    #[error("{word:?} means {value:?}: use a number, or none where the sensor has no value")]
     Value {
         /// The word.
         word: String,

@@ -82,7 +82,7 @@ fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowError>
         ("soon,door,0", "door", 0, "time \"soon\" is not a time"),
         ("-5,door,0", "door", 0, "time \"-5\" is before 1970"),
         ("1,door,ajar", "door", SECOND, "value \"ajar\" is not a number"),
-        ("1,door,", "door", SECOND, "value \"\" says that none is known"),
+        ("1,door,", "door", SECOND, "value \"\" means that there is no value"),
         ("1,door", "", 0, "\"1,door\" has 2 fields, the header has 3"),
         ("1,door,0,5", "", 0, "\"1,door,0,5\" has 4 fields, the header has 3"),
         ("1,\"door,0", "", 0, "\"1,\\\"door,0\": a quote is not closed"),
@@ -300,7 +300,7 @@ fn a_word_that_stands_for_a_number_out_of_range_is_told_with_both() -> Result<()
     let mut rows = RowReader::<_, ObservationColumns>::open_with("time,state,value\n1,door,ajar\n".as_bytes(), &rules)?;
     let Some(RowItem::Row(row)) = rows.next_item()? else { panic!("a row") };
     assert_eq!(row.value, 5.0);
-    assert_eq!(row.wrong.as_deref(), Some("value \"ajar\" stands for 5, which is not between 0 and 1"));
+    assert_eq!(row.wrong.as_deref(), Some("value \"ajar\" means 5, which is not between 0 and 1"));
     Ok(())
 }
 

@@ -76,8 +76,8 @@ def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) ->
         name, more = _named(rows, numbers)
         warnings.warn(
             f"nearly every row of {name} differs from the row before{more}. If the sensor reports changes only, these "
-            "rows say something wrong as they are: erase the state (client.erase), and send them with "
-            "reports=\"changes\" and a label of its own. If they are readings, say reports=\"samples\"",
+            "rows have a wrong meaning as they are: erase the state (client.erase), and send them with "
+            "reports=\"changes\" and a label of its own. If they are readings, set reports=\"samples\"",
             ObservationWarning, stacklevel=_LEVEL,
         )
 
@@ -90,6 +90,6 @@ def of_refused_before(rows: frames.Rows, states: list[dict[str, Any]]) -> None:
         more = f" and {len(absent) - 1} more states" if len(absent) > 1 else ""
         warnings.warn(
             f"the map has nothing of {absent[0]!r}{more}: these rows were sent before, and were refused then or erased "
-            "since. To send them anew, say replace=True, or give them a label of their own",
+            "since. To send them anew, set replace=True, or give them a label of their own",
             ObservationWarning, stacklevel=_LEVEL,
         )

@@ -154,7 +154,7 @@ class Connection:
     def _moment(self, map: str, time: Time, zone: str | None) -> int:
         nanos = self._nanos(map, time, zone)
         if len(nanos) != 1:
-            raise InvalidArgument(f"{len(nanos)} times where one is asked for", "INVALID_ARGUMENT")
+            raise InvalidArgument(f"{len(nanos)} times where one is required", "INVALID_ARGUMENT")
         return int(nanos[0])
 
     def _prepared(self, value: Any, map: str, zone: str | None) -> Any:

@@ -45,7 +45,7 @@ class Unauthenticated(TidemapError, PermissionError):
 
 
 class Unavailable(TidemapError, ConnectionError):
-    """No daemon answers, or it cannot answer now."""
+    """No daemon responds, or it cannot respond now."""
 
 
 _CLASSES: dict[str, type[TidemapError]] = {

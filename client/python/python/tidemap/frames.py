@@ -153,8 +153,8 @@ def _unknown_words(strange: dict[str, int], where: str) -> InvalidArgument:
     listed = ", ".join(f"{word!r} ({count} row{'s' if count > 1 else ''})" for word, count in first)
     more = f", and {len(strange) - len(first)} more" if len(strange) > len(first) else ""
     return _wrong(
-        f"{where}: {listed}{more}: neither a number nor a usual word such as on, off, open, closed, home or away. Say "
-        f"what it means: values={{{first[0][0]!r}: 1}}, or None for \"nothing measured\""
+        f"{where}: {listed}{more}: neither a number nor a usual word such as on, off, open, closed, home or away. Give "
+        f"its meaning: values={{{first[0][0]!r}: 1}}, or None for \"nothing measured\""
     )
 
 
@@ -264,7 +264,7 @@ def of_frame(
     if hasattr(frame, "to_frame") and not hasattr(frame, "columns"):
         name = states if isinstance(states, str) else getattr(frame, "name", None)
         if name is None:
-            raise _wrong("the series has no name: say of which state it is, states=\"door\"")
+            raise _wrong("the series has no name: name its state with states=\"door\"")
         frame, states = frame.to_frame(str(name)), None
     present = [*frame.columns] if hasattr(frame, "columns") else [*frame.keys()]
     if len(set(present)) != len(present):
@@ -282,7 +282,7 @@ def of_frame(
     has_state = states is not None or own["state"] in present
     if own["value"] in present or (own["state"] in present and len(axes) >= 2):
         if not has_state:
-            raise _wrong(f"the frame has the columns {_list(present)}, but no state: say states=\"door\"")
+            raise _wrong(f"the frame has the columns {_list(present)}, but no state: set states=\"door\"")
         names, indices = numbered(states if states is not None else frame[own["state"]], len(given.nanos))
         if own["value"] in present:
             return _rows(names, indices, given, frame[own["value"]], words, reports)
@@ -291,7 +291,7 @@ def of_frame(
     if reports == "events" and (own["state"] in present or (isinstance(states, str) and states not in present)):
         return of_arrays(frame[own["state"]] if states is None else states, given, None, reports)
     if own["state"] in present:
-        raise _wrong(f"the frame has the columns {_list(present)}, but no value: say columns={{\"value\": …}}")
+        raise _wrong(f"the frame has the columns {_list(present)}, but no value: set columns={{\"value\": …}}")
     wanted = [name for name in present if name != own["time"]] if states is None else (
         [states] if isinstance(states, str) else list(states)
     )
@@ -342,7 +342,7 @@ def _time_of(frame: Any, name: Any, present: list[Any]) -> Any:
     kinds = {column: str(getattr(frame[column], "dtype", "")).lower() for column in present}
     likely = [column for column, kind in kinds.items() if kind.startswith("datetime")]
     hint = f"columns={{\"time\": {likely[0]!r}}}" if len(likely) == 1 else "columns={\"time\": …}"
-    raise _wrong(f"the frame has the columns {_list(present)}, but no {name}, and its index has no times: say {hint}")
+    raise _wrong(f"the frame has the columns {_list(present)}, but no {name}, and its index has no times: set {hint}")
 
 
 def _list(names: list[Any]) -> str:

@@ -204,13 +204,13 @@ class Questions(Connection):
             if times is not None:
                 if not isinstance(times, str) or zone is not None:
                     raise InvalidArgument(
-                        "with a frame, times says which zone its times are in: times=\"local\", or a name",
+                        "with a frame, times is the zone of its times: times=\"local\", or a name",
                         "INVALID_ARGUMENT",
                     )
                 zone = times
             if values is not None and not isinstance(values, Mapping):
                 raise InvalidArgument(
-                    "with a frame, values says what words mean: values={\"on\": 1, \"off\": 0}", "INVALID_ARGUMENT"
+                    "with a frame, values has the meanings of words: values={\"on\": 1, \"off\": 0}", "INVALID_ARGUMENT"
                 )
             return frames.of_frame(frame, states, columns, values, reports), zone
         if states is None or times is None or (values is None and reports != "events"):

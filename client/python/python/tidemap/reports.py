@@ -86,7 +86,7 @@ def stated(reports: str | None, hold_max: Duration | None, hold_step: Duration |
     if reports is None:
         if said:
             raise InvalidArgument(
-                f"{' and '.join(said)} says for how long a row of changes or events says something: add "
+                f"{' and '.join(said)} can be set for changes and events only: add "
                 "reports=\"changes\" or reports=\"events\"",
                 "INVALID_ARGUMENT",
             )
@@ -129,7 +129,7 @@ def check_values(names: Iterable[str], states: list[dict[str, Any]]) -> None:
     for name, found in lacking:
         if found.may_lack_value:
             raise InvalidArgument(
-                f"some rows have no value, and state {name!r} is reported by {found.kind}: say reports={found.kind!r}, "
-                "so that they say that no value is known from then on",
+                f"some rows have no value, and state {name!r} is reported by {found.kind}: set reports={found.kind!r}, "
+                "so that they mean that there is no value from then on",
                 "INVALID_ARGUMENT",
             )

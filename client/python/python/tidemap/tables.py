@@ -25,7 +25,7 @@ def pandas_needed() -> Any:
         import pandas
     except ImportError as error:
         raise TidemapError(
-            "this answer is a DataFrame: install pandas (pip install pandas), or ask call() and stream(), which give "
+            "this result is a DataFrame: install pandas (pip install pandas), or use call() and stream(), which give "
             "dictionaries", "FAILED_PRECONDITION",
         ) from error
     return pandas

@@ -217,7 +217,7 @@ def resolve(
         name = zone_of_map()
         if not is_utc(name):
             raise InvalidArgument(
-                f"the times have no zone, and the map is in {name}: say zone=\"local\" if they are in the zone of the "
+                f"the times have no zone, and the map is in {name}: set zone=\"local\" if they are in the zone of the "
                 "map, zone=\"UTC\" or another name if they are not, or give them a zone",
                 "INVALID_ARGUMENT",
             )

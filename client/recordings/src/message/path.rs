@@ -70,7 +70,7 @@ impl Path {
                     return Err(PathError::Index(text));
                 }
                 (Count::Fixed(_) | Count::Any, None) if steps.peek().is_some() => {
-                    let text = format!("{0} is an array: say which element, such as {0}[0]", step.name);
+                    let text = format!("{0} is an array: name an element, such as {0}[0]", step.name);
                     return Err(PathError::Index(text));
                 }
                 _ => {}

@@ -34,7 +34,7 @@ class Actions:
         wanted = ", ".join(name for name in names.values() if name)
         if not wanted:
             return
-        server = optional.found("actionlib", "SimpleActionServer", f"nobody answers {wanted}", rospy.logwarn)
+        server = optional.found("actionlib", "SimpleActionServer", f"nothing serves {wanted}", rospy.logwarn)
         if server is None:
             return
         if names["fremen_action"]:

@@ -142,7 +142,7 @@ class Charts:
             found = self._client().grid(name, clock_words.stated(nanos), model="latest", **options)
         layer = np.asarray(found.values[0], dtype=np.float64)
         if layer.shape != (region.height, region.width):
-            raise NoMap(f"the daemon gave {layer.shape} cells where {(region.height, region.width)} were asked for")
+            raise NoMap(f"the daemon gave {layer.shape} cells where {(region.height, region.width)} were requested")
         return layer
 
     def cells(self, nanos: int, output: str) -> arrays.Cells:

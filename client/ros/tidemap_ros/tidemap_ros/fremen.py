@@ -214,7 +214,7 @@ class Fremen:
 
     def _update(self, goal: Any) -> Answer:
         self._states.update()
-        return Answer(True, 1, "The map has learned what was observed.")
+        return Answer(True, 1, "The map has learned the observations.")
 
     def _view(self, goal: Any) -> Answer:
         """Mean and rhythms, as ``mean + sum of 2 amplitude cos(2 pi t / period - phase)`` with t in seconds of UTC."""
@@ -252,12 +252,12 @@ class Fremen:
         try:
             ahead = moment.astimezone(ZoneInfo(zone)).utcoffset()
         except (OSError, LookupError, ValueError):
-            raise Refused(f"this machine does not know the time zone {zone} of the map") from None
+            raise Refused(f"this machine does not have the time zone {zone} of the map") from None
         return 0.0 if ahead is None else ahead.total_seconds()
 
     @staticmethod
     def _debug(goal: Any) -> Answer:
-        return Answer(True, 1, "Nothing is printed: `tidemap state list` and `tidemap model show` show what is known.")
+        return Answer(True, 1, "Nothing is printed: see `tidemap state list` and `tidemap model show`.")
 
 
 def entropies(values: Floats) -> Floats:

@@ -119,7 +119,7 @@ class Frenap:
 
     def _build(self, goal: Any, tell: Callable[[str], object]) -> EdgesAnswer:
         """Learns, and returns how well the models of the edges fit the data from which they were learned."""
-        tell("The map learns what was reported.")
+        tell("The map learns the reports.")
         self._states.update()
         edges = [edge for edge in self._edges(int(self._now())) if edge.reports]
         present = self._states.names()

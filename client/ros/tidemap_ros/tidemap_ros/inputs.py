@@ -82,7 +82,7 @@ class Inputs:
             self._listen(OccupancyGrid, topic, partial(self._intake.grid, topic), LATCHED)
 
     def _transforms(self) -> None:
-        known = optional.found("tf2_msgs.msg", "TFMessage", "/tf is not heard", self._log)
+        known = optional.found("tf2_msgs.msg", "TFMessage", "/tf is not received", self._log)
         if known is not None:
             heard_static = QoSProfile(
                 history=HistoryPolicy.KEEP_LAST, depth=TF_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
@@ -105,7 +105,7 @@ class Inputs:
             topic = self._settings.text("traverse_topic")
             self._listen(String, topic, lambda message: self._intake.traverse(message.data), WORDS_DEPTH)
         for topic in self._settings.texts("door_topics"):
-            kind = optional.found("rmf_door_msgs.msg", "DoorState", f"{topic} is not heard", self._log)
+            kind = optional.found("rmf_door_msgs.msg", "DoorState", f"{topic} is not received", self._log)
             if kind is not None:
                 self._listen(kind, topic, self._intake.door, WORDS_DEPTH)
 
@@ -147,7 +147,7 @@ class Inputs:
         topic = self._settings.text("statistics_topic")
         if topic:
             kind = optional.found(
-                "topological_navigation_msgs.msg", "NavStatistics", f"{topic} is not heard", self._log
+                "topological_navigation_msgs.msg", "NavStatistics", f"{topic} is not received", self._log
             )
             if kind is not None:
                 self._listen(kind, topic, self._statistics, WORDS_DEPTH)

@@ -84,7 +84,7 @@ class Node:
             rospy.Subscriber(topic, PointCloud2, partial(intake.cloud, topic), queue_size=depth, buff_size=1 << 26)
         for topic in settings.texts("grid_topics"):
             rospy.Subscriber(topic, OccupancyGrid, partial(intake.grid, topic), queue_size=1, buff_size=1 << 26)
-        known = optional.found("tf2_msgs.msg", "TFMessage", "/tf is not heard", rospy.loginfo)
+        known = optional.found("tf2_msgs.msg", "TFMessage", "/tf is not received", rospy.loginfo)
         if known is not None:
             rospy.Subscriber("/tf", known, partial(self._tf, False), queue_size=WORDS_DEPTH)
             rospy.Subscriber("/tf_static", known, partial(self._tf, True), queue_size=WORDS_DEPTH)
@@ -101,7 +101,7 @@ class Node:
         topic = settings.text("statistics_topic")
         if topic:
             package = "strands_navigation_msgs.msg"
-            kind = optional.found(package, "NavStatistics", f"{topic} is not heard", rospy.loginfo)
+            kind = optional.found(package, "NavStatistics", f"{topic} is not received", rospy.loginfo)
             if kind is not None:
                 rospy.Subscriber(topic, kind, self._statistics, queue_size=WORDS_DEPTH)
 

@@ -47,20 +47,20 @@ def _table() -> tuple[Parameter, ...]:
     add("certificate_file", "", "file with the certificate of this client; empty: none")
     add("key_file", "", "file with the key of that certificate")
     add("map", "office", "name of the map")
-    add("producer", "", "who observes; empty: the name of this machine. Each robot needs one of its own")
+    add("producer", "", "name of the producer; empty: the name of this machine. Each robot needs one of its own")
     add("label", "ros", "name of the sequence of this producer")
-    add("map_frame", "map", "tf frame of the map; the daemon refuses what comes from another frame than its map has")
+    add("map_frame", "map", "tf frame of the map; the daemon refuses observations in another frame than its map's")
     add("create_map", False, "whether the node creates the map if the daemon has none of that name")
-    add("resolution", 0.05, "of a map that the node creates: edge of a cell, metres", 0.001)
-    add("flat", True, "of a map that the node creates: one layer of cells, as a planar scanner sees it")
-    add("time_zone", "UTC", "of a map that the node creates: time zone of the people there, such as `Europe/Prague`")
+    add("resolution", 0.05, "edge of a cell of a map that the node creates, metres", 0.001)
+    add("flat", True, "whether a map that the node creates has one layer of cells, as for a planar scanner")
+    add("time_zone", "UTC", "time zone of the people there, of a map that the node creates, such as `Europe/Prague`")
 
-    group = "What is kept until the daemon has it"
+    group = "Storage until the daemon has the data"
     add("spool_dir", "", "folder; empty: `$ROS_HOME/tidemap`, or `~/.ros/tidemap`")
     add("spool_megabytes", 1024, "size of all its files; new observations are refused when it is full", 1)
-    add("spool_sync_seconds", 1.0, "seconds between two times at which the disk is told to keep what was written", 0.05)
+    add("spool_sync_seconds", 1.0, "seconds between two times at which written data is forced to the disk", 0.05)
 
-    group = "What is observed"
+    group = "Observations"
     add("scan_topics", ["scan"], "topics of `sensor_msgs/LaserScan`")
     add("cloud_topics", [], "topics of `sensor_msgs/PointCloud2`")
     add("grid_topics", [], "topics of `nav_msgs/OccupancyGrid`, such as the map of a SLAM")
@@ -70,7 +70,7 @@ def _table() -> tuple[Parameter, ...]:
     add("cloud_period", 0.0, "seconds between two clouds that are taken from a topic; 0: all", 0)
     add("grid_period", 0.0, "seconds between two grids that are taken from a topic; 0: all", 0)
     add("door_period", 60.0, "seconds between two readings of a door that stays as it is; a change is taken at once", 0)
-    add("reliable", False, "whether scans and clouds are asked for again if they got lost; their sender must be "
+    add("reliable", False, "whether lost scans and clouds are requested again; their sender must be "
         "reliable, too")
     add("queue_depth", 20, "messages of a topic that wait", 1)
     add("min_range", 0.0, "nearer readings are ignored, metres; those of a scan's own `range_min` always", 0)
@@ -78,7 +78,7 @@ def _table() -> tuple[Parameter, ...]:
         "scan, and of clouds the limit of the daemon", 0)
     add("cloud_min_height", -1e9, "points of clouds below this height in the map are left out, metres")
     add("cloud_max_height", 1e9, "points of clouds above this height in the map are left out, metres")
-    add("cloud_cell", 0.0, "of the points of a cloud in a cube of this edge one is sent, metres; 0: in a cell of the "
+    add("cloud_cell", 0.0, "one point of a cloud is sent from each cube of this edge, metres; 0: in a cell of the "
         "map, so that the same cells are occupied; negative: all points")
 
     group = "tf"
@@ -89,24 +89,24 @@ def _table() -> tuple[Parameter, ...]:
 
     group = "The map at a time"
     add("map_topic", "/map", "topic of the latched `nav_msgs/OccupancyGrid`; empty: none")
-    add("map_time", "now", "which time it shows: `now`, `+2h`, `-1d`, or `2026-01-05T12:00:00Z`")
+    add("map_time", "now", "the time that it shows: `now`, `+2h`, `-1d`, or `2026-01-05T12:00:00Z`")
     add("map_period", 60.0, "seconds between two maps", 0.1)
     add("map_output", "three_values", "`three_values`: 100, 0 or -1, as planners need it; `probability`: 0 to 100; "
         "`entropy`: 0 to 100", None, ("three_values", "probability", "entropy"))
-    add("occupied_from", 0.65, "of `three_values`: probability from which a cell is occupied", 0)
-    add("free_up_to", 0.25, "of `three_values`: probability up to which a cell is free", 0)
-    add("map_region", [], "x, y of the lower and of the upper corner, metres; empty: what the map has when the node "
-        "starts, which does not change after that")
+    add("occupied_from", 0.65, "with `three_values`: probability from which a cell is occupied", 0)
+    add("free_up_to", 0.25, "with `three_values`: probability up to which a cell is free", 0)
+    add("map_region", [], "x, y of the lower and of the upper corner, metres; empty: the extent of the map when the "
+        "node starts, which does not change after that")
     add("map_heights", [], "lowest and highest height that counts, metres; empty: all. Of flat maps it is ignored")
-    add("model", "auto", "model that predicts; `auto` shows what was seen last until the first nightly update; with "
-        "`auto+memory` what was seen since the last update counts, too")
+    add("model", "auto", "model that predicts; `auto` shows the newest readings until the first nightly update; with "
+        "`auto+memory` readings since the last update count, too")
 
     group = "Masks for Nav2's costmap filters"
-    add("keepout_source", "", "what keeps robots out: `occupancy`, `entropy` or `people`; empty: no mask", None,
-        ("", "occupancy", "entropy", "people"))
+    add("keepout_source", "", "source of the mask that keeps robots out: `occupancy`, `entropy` or `people`; empty: no "
+        "mask", None, ("", "occupancy", "entropy", "people"))
     add("keepout_from", 0.5, "value of the source from which a cell is kept out of: probability, bits, or people", 0)
-    add("speed_source", "", "what slows robots down: `occupancy`, `entropy` or `people`; empty: no mask", None,
-        ("", "occupancy", "entropy", "people"))
+    add("speed_source", "", "source of the mask that slows robots down: `occupancy`, `entropy` or `people`; empty: no "
+        "mask", None, ("", "occupancy", "entropy", "people"))
     add("speed_full_at", 1.0, "value of the source at which robots are slowest", 1e-9)
     add("speed_slowest", 20.0, "percent of their speed at which robots then drive, 1 to 100", 1)
     add("people_state", "people", "state with the positions of people")
@@ -126,13 +126,13 @@ def _table() -> tuple[Parameter, ...]:
     add("edge_closed_below", 0.2, "probability of success below which an edge is closed", 0)
 
     group = "Actions of fremenserver and frenap, with ROS 1 only"
-    add("fremen_action", "", "name of the action that answers as fremenserver does, `/fremenserver` for its clients; "
+    add("fremen_action", "", "name of the action that works as fremenserver does, `/fremenserver` for its clients; "
         "empty: none")
-    add("fremen_detect", True, "whether clients know the operation `detect`, as the newest definition of "
+    add("fremen_detect", True, "whether clients have the operation `detect`, as the newest definition of "
         "fremenserver has it; ignored where the package `fremenserver` is installed, whose definition counts")
     add("fremen_learn_period", 0.0, "seconds between two updates of the map that a prediction starts because readings "
         "of its state were added; 0: every such prediction starts one", 0)
-    add("prediction_action", "", "name of the action that answers as frenap does, `/FreNaP` for its clients; empty: "
+    add("prediction_action", "", "name of the action that works as frenap does, `/FreNaP` for its clients; empty: "
         "none")
 
     group = "Diagnostics"

@@ -115,7 +115,7 @@ def decoded(raw: bytes) -> Record:
         fields = json.loads(raw[_HEAD.size : _HEAD.size + length])
         blob = memoryview(raw)[_HEAD.size + length :]
         if tag >> 4 != VERSION:
-            raise BadRecord(f"a record of version {tag >> 4}; this program knows {VERSION}")
+            raise BadRecord(f"a record of version {tag >> 4}; this program reads {VERSION}")
         if "pose" in fields:
             fields["pose"] = tuple(fields["pose"])
         if kind is Picture:

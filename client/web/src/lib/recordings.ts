@@ -25,7 +25,7 @@ export function mapNameOf(file: string): string {
 
 /** The problem with dropped items; empty if they are recordings. */
 export function complaint(dropped: readonly { name: string; isFolder: boolean }[]): string {
-    if (dropped.length === 0) return 'What was dropped is no file. Drop a recording: .bag, .mcap or .db3.';
+    if (dropped.length === 0) return 'The dropped item is no file. Drop a recording: .bag, .mcap or .db3.';
     const folder = dropped.find((one) => one.isFolder);
     if (folder) return `${folder.name} is a folder. Drop the .mcap or .db3 files in it, or use: tidemap import MAP ${folder.name}`;
     const other = dropped.find((one) => !ENDINGS.some((ending) => one.name.toLowerCase().endsWith(ending)));
@@ -67,7 +67,7 @@ function refusal(status: number, text: string): Refused {
     try {
         return new Refused(status, (JSON.parse(text) as Said).error?.message ?? text);
     } catch {
-        return new Refused(status, `The daemon answers with status ${status}.`);
+        return new Refused(status, `The daemon responds with status ${status}.`);
     }
 }
 
@@ -124,7 +124,7 @@ export function send(map: string, file: File, producer: string, headers: Record<
             if (request.status !== 200) failed(refusal(request.status, request.responseText));
             else if (end?.error) failed(new Refused(200, end.error.message));
             else if (end) done(end.exit ?? 1);
-            else failed(new TypeError('the answer broke off'));
+            else failed(new TypeError('the response broke off'));
         };
         request.onerror = () => failed(new TypeError('the connection broke'));
         request.onabort = () => failed(new DOMException('stopped', 'AbortError'));

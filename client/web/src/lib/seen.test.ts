@@ -149,9 +149,9 @@ suite('in words', () => {
         assert.equal(text(CHANGES, now - HOUR, now), 'its value 1 holds now');
         assert.match(text(CHANGES, 0, 2 * HOUR), /^its value 1 held until Thu 1 Jan 1970, 02:00, and is unknown since$/);
         assert.match(text(CHANGES, 0, HOUR), /^its value 1 held until Thu 1 Jan 1970, 01:00, the newest data/);
-        assert.equal(text(CHANGES, HOUR, HOUR, 2 * HOUR), 'its sensor knows no value since');
+        assert.equal(text(CHANGES, HOUR, HOUR, 2 * HOUR), 'its sensor has no value since');
         assert.equal(text(CHANGES, HOUR, HOUR), 'its value is 1');
-        assert.equal(heldText(CHANGES, '1', { row: HOUR, until: HOUR, newest: HOUR, hasValue: false }, 'UTC'), 'its sensor knows no value since');
+        assert.equal(heldText(CHANGES, '1', { row: HOUR, until: HOUR, newest: HOUR, hasValue: false }, 'UTC'), 'its sensor has no value since');
         assert.match(text(EVENTS, 0, HOUR), /^complete until Thu 1 Jan/);
     });
 

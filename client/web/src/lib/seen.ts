@@ -100,8 +100,8 @@ export function heldText(reported: Reported, value: string, report: LastReport, 
     const { row, until } = report;
     const isNow = Date.now() - until < NOW_MS;
     const end = isNow ? 'now' : longTime(until, zone);
-    if (reported.rows === RowKind.EVENTS) return until > row ? `complete until ${end}` : 'nothing is known after it';
-    if (hasNoValue(report)) return 'its sensor knows no value since';
+    if (reported.rows === RowKind.EVENTS) return until > row ? `complete until ${end}` : 'there is no data after it';
+    if (hasNoValue(report)) return 'its sensor has no value since';
     if (until - row >= reported.holdMs) return `its value ${value} held until ${end}, and is unknown since`;
     return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data`}` : `its value is ${value}`;
 }

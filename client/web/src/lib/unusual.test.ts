@@ -31,7 +31,7 @@ suite('words', () => {
         assert.equal(runText(run, 'UTC', true), 'was 1 on Wed 12 Mar 01:00 – 02:00, predicted 0.031');
         assert.match(runText({ ...run, value: 0, probability: 0.9998 }, 'UTC', true), /, predicted over 0.99$/);
         assert.match(runText({ ...run, probability: 0.00002 }, 'UTC', true), /, predicted under 0.001$/);
-        assert.equal(runText({ ...run, value: 22.5 }, 'UTC', false), 'was 22.5 on Wed 12 Mar 01:00 – 02:00, above what was predicted');
+        assert.equal(runText({ ...run, value: 22.5 }, 'UTC', false), 'was 22.5 on Wed 12 Mar 01:00 – 02:00, above the prediction');
     });
 });
 

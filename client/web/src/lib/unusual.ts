@@ -62,7 +62,7 @@ export function runText(run: Unusual, zone: string, isProbability: boolean): str
     // For other kinds than probabilities, `probability` is the probability of a value at least as far from the
     // prediction.
     const predicted = run.probability > 0.99 ? 'over 0.99' : run.probability < 0.001 ? 'under 0.001' : plain(run.probability, 2);
-    const expected = isProbability ? `, predicted ${predicted}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
+    const expected = isProbability ? `, predicted ${predicted}` : `, ${run.isAbove ? 'above' : 'below'} the prediction`;
     return `was ${plain(run.value)} on ${rangeText(run.from, run.to, zone)}${expected}`;
 }
 

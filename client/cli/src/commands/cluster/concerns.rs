@@ -60,7 +60,7 @@ pub(super) fn concerns(view: &ClusterView) -> Vec<(Severity, String)> {
             "silent" => {
                 let reason = view.answers.get(&member.name).and_then(|answer| answer.as_ref().err());
                 let reason = reason.map_or_else(String::new, |reason| format!(": {reason}"));
-                found.push((Severity::Warning, format!("member {} does not answer{reason}", member.name)));
+                found.push((Severity::Warning, format!("member {} does not respond{reason}", member.name)));
             }
             _ => {}
         }
@@ -136,10 +136,10 @@ fn of_replica(map: &str, member: &str, replica: &v1::MapReplica, found: &mut Vec
         Some(heard) => {
             add(
                 Severity::Warning,
-                format!("it has not heard for {} s where the shared log ends", heard / 1_000_000_000),
+                format!("it has not received the end of the shared log for {} s", heard / 1_000_000_000),
             );
         }
-        None => add(Severity::Warning, "it has never heard where the shared log ends".to_owned()),
+        None => add(Severity::Warning, "it has never received the end of the shared log".to_owned()),
     }
 }
 
@@ -207,7 +207,7 @@ mod tests {
         check(&cluster(replica(ReplicaRole::Following, "0b")), Severity::Error, "generation 3 differs between a, b");
         let following = || replica(ReplicaRole::Following, "0a");
         check(&cluster(v1::MapReplica { trouble: "no room".into(), ..following() }), Severity::Warning, "no room");
-        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Warning, "never heard");
+        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Warning, "never received");
         let late = Some(duration(11_000_000_000));
         check(&cluster(v1::MapReplica { heard_age: late, ..following() }), Severity::Warning, "for 11 s");
         for (groups, severity) in [(1, Severity::Warning), (2, Severity::Error)] {
@@ -224,7 +224,7 @@ mod tests {
         check(&unwritten, Severity::Error, "no writer");
         let mut silent = cluster(following());
         silent.answers.insert("b".to_owned(), Err("late".to_owned()));
-        check(&silent, Severity::Warning, "member b does not answer: late");
+        check(&silent, Severity::Warning, "member b does not respond: late");
         let mut without_engine = cluster(following());
         without_engine.asked.engine_trouble = "no connection".to_owned();
         check(&without_engine, Severity::Error, "no connection");

@@ -145,8 +145,8 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
             left += usize::from(!is_removed);
             if fork.other_records > 0 {
                 status_line(&format!(
-                    "warning: fork {} on {member} holds {} changes of states or of the site. This command cannot tell \
-                     whether the map has them: compare them yourself",
+                    "warning: fork {} on {member} holds {} changes of states or of the site. This command cannot find \
+                     out whether the map has them: compare them yourself",
                     fork.name, fork.other_records
                 ));
             }
@@ -156,7 +156,7 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
     let silent: Vec<&str> =
         view.answers.iter().filter(|(_, answer)| answer.is_err()).map(|(member, _)| member.as_str()).collect();
     if !silent.is_empty() {
-        status_line(&format!("warning: {} did not answer; there may be forks", silent.join(", ")));
+        status_line(&format!("warning: {} did not respond; there may be forks", silent.join(", ")));
     }
     session.print(&COLUMNS, printed)?;
     Ok(exit(if left > 0 {

@@ -34,7 +34,7 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, map: &str)
     let view = ClusterView::ask(&session.client, credentials).await?;
     let holders: Vec<&str> = view.replicas(map).into_iter().map(|(name, _)| name).collect();
     if holders.is_empty() {
-        return Err(ClusterLost(format!("no member that answers holds map {map:?}")).into());
+        return Err(ClusterLost(format!("no member that responds holds map {map:?}")).into());
     }
     let mut clients = view.clients(&session.client, credentials)?;
     clients.retain(|name, _| holders.contains(&name.as_str()));
@@ -75,7 +75,7 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, map: &str)
         status_line(&format!("generation {newest} of {} members: {}", digests.len(), word(generation)));
     }
     for (member, _) in view.answers.iter().filter(|(_, answer)| answer.is_err()) {
-        status_line(&format!("warning: member {member} does not answer"));
+        status_line(&format!("warning: member {member} does not respond"));
     }
     Ok(exit(if !logs || !generation {
         Severity::Error

@@ -28,7 +28,7 @@ pub(super) fn is_writing(replica: &v1::MapReplica) -> bool {
 /// The reply of a daemon; an error if it is late.
 pub(super) async fn answer_of(client: &Client, with_engine: bool) -> anyhow::Result<v1::GetClusterStatusResponse> {
     let answer = tokio::time::timeout(ANSWER_WITHIN, client.cluster_status(with_engine)).await;
-    let late = || format!("{} did not answer within {} seconds", client.server(), ANSWER_WITHIN.as_secs());
+    let late = || format!("{} did not respond within {} seconds", client.server(), ANSWER_WITHIN.as_secs());
     Ok(answer.with_context(late)??)
 }
 

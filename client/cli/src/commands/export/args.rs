@@ -28,7 +28,7 @@ pub(crate) struct ExportArgs {
     pub(super) path: PathBuf,
     #[command(flatten)]
     pub(super) times: AskedTimesArgs,
-    /// With .mcap: what to write [default: all that the map has]
+    /// With .mcap: contents to write [default: all that the map has]
     #[arg(long, value_name = "CONTENT,…", value_delimiter = ',')]
     pub(super) content: Vec<Content>,
     /// With .mcap: name or pattern of states to write, such as 'door-*'; may be repeated [default: all]
@@ -79,9 +79,9 @@ pub(super) enum Content {
 /// The masks of Nav2's costmap filters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Mask {
-    /// Where a robot must not go: no-go areas, and cells that are probably occupied
+    /// Places where a robot must not go: no-go areas, and cells that are probably occupied
     Keepout,
-    /// How fast a robot may drive: the slower, the more probable it is that a cell is occupied
+    /// Speed limits: the more probable it is that a cell is occupied, the lower
     Speed,
 }
 

@@ -33,7 +33,7 @@ use crate::{
 pub(crate) struct GridObserveArgs {
     /// Name of the map
     map: String,
-    /// Files; each is one scan, unless it ends in .tms. A folder stands for its files with a known ending, by name
+    /// Files; each is one scan, unless it ends in .tms. A folder means its files with a known ending, by name
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -44,7 +44,7 @@ pub(crate) struct GridObserveArgs {
     /// Points nearer than this are left out, such as points of the robot itself [default: 0]
     #[arg(long, value_name = "METRES", value_parser = range)]
     min_range: Option<f32>,
-    /// Beyond this range a point only says that the space up to it is free [default: the daemon's limit]
+    /// Beyond this range a point only means that the space up to it is free [default: the daemon's limit]
     #[arg(long, value_name = "METRES", value_parser = range)]
     max_range: Option<f32>,
     /// Pixels of a Nav2 map of mode scale or raw that are between free and occupied: they count as occupied from this
@@ -112,7 +112,7 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
     }
     transfer.report.conclude();
     if matches!(end, TransferEnd::Stopped(_)) {
-        status_line("the same command again sends what is missing");
+        status_line("the same command again sends the missing observations");
     }
     let what_to_do = if matches!(end, TransferEnd::Differs(_)) {
         format!("Other scans need another label, such as --label {}", free_label(session, &options).await)

@@ -53,7 +53,7 @@ pub(crate) struct GridPredictArgs {
     /// beside each other, two with their difference. Without FILE it is the last option
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", conflicts_with = "out")]
     picture: Option<PathBuf>,
-    /// Number of spectral components, 0 to 15 [default: what the last update chose]
+    /// Number of spectral components, 0 to 15 [default: the number that the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     /// Model: auto, mean, latest or spectral, each optionally with +belief, +persistence or +memory

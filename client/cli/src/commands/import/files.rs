@@ -181,7 +181,7 @@ fn surveyed(recording: &Recording, bar: &Bar, survey: &mut Survey, is_first: boo
         if let Ending::CutOff(how) = file.read(survey).with_context(|| file.shown())?
             && is_first
         {
-            bar.status_line(&format!("{}: {how}; what comes before is taken", file.shown()));
+            bar.status_line(&format!("{}: {how}; the part before is taken", file.shown()));
         }
     }
     Ok(())

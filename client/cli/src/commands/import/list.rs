@@ -66,7 +66,7 @@ pub(super) fn is_all_without_place(planned: &Planned) -> bool {
 pub(super) fn tell(planned: &Planned) {
     let Planned { surveyed, plan, .. } = planned;
     let places = |choice: FrameChoice, frame: &str| match choice {
-        FrameChoice::Asked => format!("everything is placed in frame {frame:?}, as asked"),
+        FrameChoice::Asked => format!("everything is placed in frame {frame:?}, as requested"),
         FrameChoice::Usual => format!("everything is placed in frame {frame:?}; --frame names another"),
         FrameChoice::Root => format!("everything is placed in frame {frame:?}, the root above the sensors"),
         FrameChoice::OfMessages | FrameChoice::None => format!("the messages are in frame {frame:?}"),
@@ -80,7 +80,7 @@ pub(super) fn tell(planned: &Planned) {
     });
     if let Some((topic, _)) = unplaced {
         status_line(&format!(
-            "the recording has no transforms from which it is known where {:?} of {} was, so its messages have no place: \
+            "the recording has no transforms that give the position of {:?} of {}, so its messages have no place: \
              if it stood still, add --frame {}",
             topic.frame, topic.name, topic.frame
         ));
@@ -88,8 +88,8 @@ pub(super) fn tell(planned: &Planned) {
     let conflicts: Vec<&str> = surveyed.frames.conflicts().collect();
     if !conflicts.is_empty() {
         status_line(&format!(
-            "several transforms say different things of {}: a parent that changes, a fixed one that moves, or two robots \
-             in one recording. skip: in a mapping leaves out a topic of transforms",
+            "several transforms contradict each other about {}: a parent that changes, a fixed one that moves, or two \
+             robots in one recording. skip: in a mapping leaves out a topic of transforms",
             conflicts.join(", ")
         ));
     }

@@ -83,7 +83,7 @@ impl ImportTransfer {
         let progress = self.producer.progress();
         if progress.unreported > 0 {
             self.bar.status_line(&format!(
-                "{} observations became durable while the connection broke: those among them that were refused count as \
+                "{} observations became durable while the connection broke: refused ones among them count as \
                  accepted",
                 progress.unreported
             ));

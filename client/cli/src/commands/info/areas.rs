@@ -77,7 +77,7 @@ pub(super) async fn rows(
     }
     if left > 0 {
         status_line(&format!(
-            "{left} more areas teach less; --count N shows more of them, and --area M makes them larger"
+            "{left} more areas give less information; --count N shows more of them, and --area M makes them larger"
         ));
     }
     Ok(rows)

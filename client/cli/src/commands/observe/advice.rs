@@ -78,8 +78,8 @@ impl RowAdvice {
         let mut lines = Vec::new();
         if let Some((states, first)) = self.states_that(looks_like).filter(|_| kind == RowKind::Samples) {
             lines.push(format!(
-                "{states}: nearly every row differs from the row before. If the sensor reports changes only, these rows \
-                 say something wrong as they are: {}",
+                "{states}: nearly every row differs from the row before. If the sensor reports changes only, these \
+                 rows have a wrong meaning as they are: {}",
                 steps.as_changes(first)
             ));
         }
@@ -90,8 +90,8 @@ impl RowAdvice {
         if let Some((states, first)) = self.states_that(is_one_value) {
             let value = self.states.get(first).map_or(f64::NAN, |seen| seen.last);
             lines.push(format!(
-                "these states have only one value, {value} for the first, because the words of their other rows are not known: {states}. \
-                 Say what these words stand for, as in --values WORD=0"
+                "these states have only one value, {value} for the first, because the words of their other rows are \
+                 not known: {states}. Give the meanings of these words, as in --values WORD=0"
             ));
         }
         let never_changes = |name: &str, seen: &Seen| {

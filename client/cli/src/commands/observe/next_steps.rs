@@ -69,8 +69,8 @@ impl<'a> NextSteps<'a> {
     /// After values were refused that are no probabilities.
     pub(super) fn no_probabilities(&self) -> String {
         format!(
-            "values that are not between 0 and 1 need states of another kind: {} --kinds 'PATTERN=continuous', or count. A \
-             state keeps its kind: erase one that exists first, with tidemap erase {} --state NAME",
+            "values that are not between 0 and 1 need states of another kind: {} --kinds 'PATTERN=continuous', or \
+             count. A state keeps its kind: erase one that exists first, with tidemap erase {} --state NAME",
             self.replace_without_kinds.as_deref().unwrap_or("send them with"),
             quoted(self.map)
         )
@@ -122,14 +122,15 @@ impl<'a> NextSteps<'a> {
     pub(super) fn differs(&self, another: &str) -> String {
         let corrected = self.replace.as_ref().map_or_else(
             || {
-                "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another \
-                 label, all rows would count again."
+                "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with \
+                 another label, all rows would count again."
                     .to_owned()
             },
             |replace| {
                 format!(
-                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
-                     added at the end are sent without that; with another label, all rows would count again.)"
+                    "If it was corrected, this withdraws the rows sent before, and sends the file anew: {replace}. \
+                     (Rows that are only added at the end are sent without that; with another label, all rows would \
+                     count again.)"
                 )
             },
         );

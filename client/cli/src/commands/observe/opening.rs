@@ -35,10 +35,10 @@ const KINDS: [(&[u8], &str); 21] = [
     (b"SQLite format 3", DATABASE),
     (
         b"\x28\xb5\x2f\xfd",
-        "is packed with zstd: zstd -dc FILE unpacks it, and - in place of FILE sends what arrives on stdin",
+        "is packed with zstd: zstd -dc FILE unpacks it, and - in place of FILE sends the data from stdin",
     ),
-    (b"\xfd7zXZ", "is packed with xz: xz -dc FILE unpacks it, and - in place of FILE sends what arrives on stdin"),
-    (b"BZh", "is packed with bzip2: bzip2 -dc FILE unpacks it, and - in place of FILE sends what arrives on stdin"),
+    (b"\xfd7zXZ", "is packed with xz: xz -dc FILE unpacks it, and - in place of FILE sends the data from stdin"),
+    (b"BZh", "is packed with bzip2: bzip2 -dc FILE unpacks it, and - in place of FILE sends the data from stdin"),
     (b"PK\x03\x04", "is a spreadsheet or a ZIP archive: save it as CSV, or unpack it"),
     (b"PAR1", "is a Parquet file: write it as CSV, or send the frame with the Python package (Client.observe)"),
     (b"\x89PNG", "is a picture: observations are rows of CSV"),
@@ -96,8 +96,8 @@ fn looked_at(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSo
 fn problem(start: &[u8]) -> Option<String> {
     if let Some(encoding) = wide_text(start) {
         return Some(format!(
-            "is text in {encoding}: save it as UTF-8, or send it with `iconv -f {encoding} -t UTF-8 FILE`, and - in place \
-             of FILE"
+            "is text in {encoding}: save it as UTF-8, or send it with `iconv -f {encoding} -t UTF-8 FILE`, and - in \
+             place of FILE"
         ));
     }
     let known = KINDS.iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, what)| (*what).to_owned());

@@ -346,7 +346,7 @@ impl<T: Sendable> RowTransfer<T> {
         let progress = self.producer.progress();
         if progress.unreported > 0 {
             self.bar.status_line(&format!(
-                "{} rows became durable while the connection broke: those among them that only the daemon knows to be \
+                "{} rows became durable while the connection broke: those among them that only the daemon refuses, \
                  refused, such as for a state's name, count as accepted",
                 progress.unreported
             ));

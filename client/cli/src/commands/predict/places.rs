@@ -36,7 +36,7 @@ pub(super) async fn run(session: &Session, args: PredictArgs, times: Vec<i64>) -
     };
     let vector = args.places[0].vector.clone();
     if let Some(other) = args.places.iter().find(|place| place.vector != vector) {
-        return Err(usage(format!("--where names two vectors, {vector} and {}: ask for each by itself", other.vector)));
+        return Err(usage(format!("--where names two vectors, {vector} and {}: use a command each", other.vector)));
     }
     // The default of other predictions is the daemon's default here.
     let model = (args.model != ModelSelector::default() || args.model.kind != ModelKind::Auto).then_some(args.model);

@@ -21,7 +21,7 @@ set -ex
 tidemap map create building --time-zone Europe/London --grid resolution=CELL,flat
 tidemap grid observe building maps --times-from 'map_%Y-%m-%d_%H-%M.yaml' --utc --producer scanner --label maps
 
-# The rooms and the front door, the topological map, and where a robot drove.
+# The rooms and the front door, the topological map, and the traversals of a robot.
 tidemap observe building rooms.csv --producer robot-1
 tidemap topology load building topology.yaml
 tidemap traverse building drives.csv --producer robot-1

@@ -13,15 +13,15 @@ const TRY: &str = r#"#!/bin/sh
 cd "$(dirname "$0")" || exit 1
 set -ex
 
-# A map, and what the robot observed. Sending the file again changes nothing.
+# A map, and the observations of the robot. Sending the file again changes nothing.
 tidemap map create door --time-zone Europe/London
 tidemap observe door door.csv --producer robot-ada
 
-# Learn now instead of at midnight, and ask for the Tuesday after.
+# Learn now instead of at midnight, and predict the Tuesday after.
 tidemap update door
 tidemap predict door office-1-door --from 2025-01-28T00:00:00Z --to 2025-01-29T00:00:00Z --step 2h
 
-# What was learned, and what was unusual.
+# The learned model, and the unusual observations.
 tidemap model show door office-1-door
 tidemap anomalies door office-1-door --confidence 0.9 --from 2025-01-06T00:00:00Z --to 2025-01-27T00:00:00Z
 "#;
@@ -32,7 +32,7 @@ pub(super) fn write(folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
     fs::write(folder.join("door.csv"), text)?;
     fs::write(folder.join("try.sh"), TRY)?;
     Ok(vec![
-        SampleFile { name: "door.csv", rows, what: "the door, open (1) or shut (0), as robot-ada saw it" },
+        SampleFile { name: "door.csv", rows, what: "the door, open (1) or shut (0), observed by robot-ada" },
         SampleFile { name: "try.sh", rows: TRY.lines().count() as u64, what: "commands to try" },
     ])
 }

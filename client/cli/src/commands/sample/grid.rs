@@ -26,7 +26,7 @@ tidemap update hall
 tidemap grid predict hall --at 2025-03-17T10:00:00Z --z 0.1:1.8 --out ten.png
 tidemap grid predict hall --at 2025-03-17T03:00:00Z --z 0.1:1.8 --out three.png
 
-# What a look from the middle would teach, and a tour.
+# The information of an observation from the middle, and a tour.
 tidemap info hall --at 2025-03-17T10:00:00Z --view 0,0,1.2
 tidemap tour hall --at 2025-03-17T10:00:00Z --count 4 --start 0,0
 

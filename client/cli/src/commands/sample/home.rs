@@ -30,7 +30,7 @@ tidemap observe smart-home export.csv --changes --local --columns time=last_chan
 # Learn now instead of at midnight.
 tidemap update smart-home
 
-# Every sensor for a day, and what was unusual in the last week.
+# Every sensor for a day, and the unusual observations of the last week.
 tidemap predict smart-home --date 2025-04-25 --picture
 tidemap anomalies smart-home --top 10
 

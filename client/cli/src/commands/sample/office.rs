@@ -44,25 +44,25 @@ const TRY: &str = r#"#!/bin/sh
 cd "$(dirname "$0")" || exit 1
 set -ex
 
-# A map, the topological map, what three robots saw, and where they drove.
+# A map, the topological map, the observations of three robots, and their traversals.
 tidemap map create office --time-zone Europe/London
 tidemap topology load office topology.yaml
 for robot in robot-ada robot-bob robot-cleo; do tidemap observe office $robot.csv --producer $robot; done
 tidemap traverse office traversals.csv --producer robot-ada
 
-# Learn now instead of at midnight, and ask for the Tuesday after.
+# Learn now instead of at midnight, and predict the Tuesday after.
 tidemap update office
 tidemap predict office kitchen meeting-room --from 2025-02-18T08:00:00Z --to 2025-02-18T18:00:00Z --step 2h
 
 # How good is that? Compare with the week that really came.
 tidemap evaluate office next-week.csv --models auto,mean,latest
 
-# The way to the kitchen: by day through the entrance, at night around the house. And where to look for somebody.
+# The way to the kitchen: by day through the entrance, at night around the house. And a search for somebody.
 tidemap route office entrance kitchen --objective time --at 2025-02-18T12:00:00Z
 tidemap route office entrance kitchen --objective time --at 2025-02-18T23:00:00Z
 tidemap search office --start corridor --at 2025-02-18T10:30:00Z
 
-# Where a look pays now.
+# Where an observation is worth most now.
 tidemap info office --at 2025-02-18T10:30:00Z --state kitchen --state meeting-room --state storage-door
 
 # The page: tidemap open office
@@ -137,7 +137,7 @@ pub(super) fn write(folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
         fs::write(folder.join(name), text)
     };
     for (robot, name) in ["robot-ada.csv", "robot-bob.csv", "robot-cleo.csv"].into_iter().enumerate() {
-        put(name, observed(&office, robot, DAYS, |_| true), "what this robot saw: open doors, rooms with people")?;
+        put(name, observed(&office, robot, DAYS, |_| true), "its observations: open doors, rooms with people")?;
     }
     put("topology.yaml", (topology(), NODES.len() as u64), "nodes with positions, and edges")?;
     put("traversals.csv", traversals(&office), "drives along the edges; some doors were shut")?;

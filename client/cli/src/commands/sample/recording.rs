@@ -42,7 +42,7 @@ const TRY: &str = r#"#!/bin/sh
 cd "$(dirname "$0")" || exit 1
 set -ex
 
-# What is in the recording, and what would be made of it.
+# The contents of the recording, and the observations that would be made of it.
 tidemap import corridor robot.mcap --list
 
 # The map. With --nightly it learns as if the two weeks happened now.

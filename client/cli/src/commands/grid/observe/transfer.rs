@@ -160,7 +160,7 @@ impl ScanTransfer {
         let progress = self.producer.progress();
         if progress.unreported > 0 {
             self.bar.status_line(&format!(
-                "{} scans became durable while the connection broke: those among them that were refused count as accepted",
+                "{} scans became durable while the connection broke: refused ones among them count as accepted",
                 progress.unreported
             ));
         }
