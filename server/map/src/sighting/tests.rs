@@ -92,7 +92,7 @@ fn a_traversal_is_observed_with_it() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn an_error_names_what_is_wrong() {
     for (wrong, words) in [
         (sighting("c", &[], &[]), "\"c\""),
         (sighting("b", &[], &[]), "\"b\" has no landmarks"),

@@ -112,7 +112,7 @@ fn changes_are_learned_as_the_values_that_hold_between_them() {
 }
 
 #[test]
-fn what_a_sensor_says_now_is_known_as_long_as_its_last_change_holds() {
+fn what_a_sensor_shows_now_is_known_as_long_as_its_last_change_holds() {
     let mut home = Home::new(StateKind::Probability, Reporting::Changes(hold(DAY, 5 * MINUTE)));
     home.observe(&office_hours(7), HOUR / 2);
     home.update(MONDAY + 7 * DAY);
@@ -190,7 +190,7 @@ fn events_are_learned_as_their_number_in_each_step() {
 }
 
 #[test]
-fn no_more_readings_are_made_of_rows_than_are_asked_for() {
+fn no_more_readings_are_made_of_rows_than_requested() {
     let mut home = Home::new(StateKind::Probability, Reporting::Changes(hold(7 * DAY, MINUTE)));
     home.observe(&office_hours(3), HOUR);
     let view = home.map.publish();
