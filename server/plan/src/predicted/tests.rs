@@ -96,7 +96,7 @@ fn options(kind: ModelKind, blend: Blend) -> PredictOptions {
 }
 
 #[test]
-fn each_cell_is_what_the_grid_says_at_each_time() {
+fn each_cell_is_as_in_the_grid_at_each_time() {
     let view = learned(spec(false));
     let grid = view.grid().unwrap();
     for kind in [ModelKind::Spectral, ModelKind::Mean, ModelKind::Latest] {
@@ -130,7 +130,7 @@ fn each_cell_is_what_the_grid_says_at_each_time() {
 }
 
 #[test]
-fn predictions_that_are_told_to_stop_give_nothing() {
+fn predictions_that_are_stopped_give_nothing() {
     let view = learned(spec(false));
     let asked = AtomicUsize::new(0);
     let predict = |after: usize| {

@@ -140,7 +140,7 @@ fn obstacles_are_in_the_way() {
 }
 
 #[test]
-fn a_tour_without_a_goal_says_why() {
+fn a_tour_without_a_goal_gives_the_reason() {
     let grid = two_corners();
     let ask = question(&grid, 30, 5);
     let shut_in = drawn(&["#####", "#.###", "#####", "####.", "####."]);
@@ -255,7 +255,7 @@ fn rays_at_hand_give_the_same_tour() {
 }
 
 #[test]
-fn a_tour_that_is_told_to_stop_ends_soon_and_gives_nothing() {
+fn a_tour_that_is_stopped_ends_soon_and_gives_nothing() {
     let grid = room(60, 60, |x, y| if (x * 7 + y * 3) % 5 == 0 { 0.3 } else { 0.1 });
     let ask = TourQuestion {
         goals: 30,

@@ -207,7 +207,7 @@ proptest! {
     }
 
     #[test]
-    fn many_times_are_told_as_each_alone(
+    fn many_times_give_the_answers_of_each_alone(
         sensor in sensors(),
         seed in any::<u64>(),
         is_flat in any::<bool>(),
@@ -320,7 +320,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
 }
 
 #[test]
-fn telling_can_be_ended() {
+fn the_receiver_of_views_can_end_the_work() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 1, |at, _| grid.probability(at)).unwrap();
     let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();

@@ -111,7 +111,7 @@ fn questions_out_of_range_are_refused() {
 }
 
 #[test]
-fn a_policy_that_is_told_to_stop_ends_within_a_slot() {
+fn a_policy_that_is_stopped_ends_within_a_slot() {
     let town = street(1_000);
     let options = PolicyOptions { slots: 4, ..PolicyOptions::default() };
     let forecasts = std::cell::Cell::new(0);
