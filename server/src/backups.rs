@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn names_tell_when_a_backup_began() {
+    fn a_name_contains_the_time_at_which_the_backup_began() {
         let began = 1_794_000_000_123_456_789;
         let name = name_of(began);
         assert_eq!(name, "auto-2026-11-06T21-20-00Z");

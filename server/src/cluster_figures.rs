@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_replica_that_is_furthest_behind_is_told_and_one_that_never_heard_is_infinitely_old() {
+    fn the_replica_that_is_furthest_behind_is_reported_and_one_without_contact_is_infinitely_old() {
         let now = Instant::now();
         let status = |role, position, heard| ReplicaStatus {
             role,
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn members_that_are_gone_and_an_engine_that_is_silent_are_told() {
+    fn members_that_are_gone_and_an_engine_that_is_silent_are_reported() {
         let member = |is_alive| Member { report: MemberReport::default(), is_alive, unchanged_for: Duration::ZERO };
         let mut view = MembersView { trouble: None, ..MembersView::default() };
         view.members.insert("east".to_owned(), member(true));

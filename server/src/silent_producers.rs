@@ -114,7 +114,7 @@ mod tests {
     const HOUR: i64 = 3600 * 1_000_000_000;
 
     #[test]
-    fn the_most_silent_of_those_heard_lately_are_told() {
+    fn the_most_silent_of_the_recent_producers_are_listed() {
         let now = 1_000 * HOUR;
         let heard = |producer: &str, hours: i64| ("lab".to_owned(), producer.to_owned(), now - hours * HOUR);
         let all = vec![heard("left", 169), heard("robot-1", 0), heard("robot-2", 30), heard("a\"\\b", 2)];

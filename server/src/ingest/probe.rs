@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_client_is_there_if_it_answers_or_cannot_be_heard() {
+    async fn a_client_is_there_if_it_answers_or_cannot_be_probed() {
         let (asked, probed, mut questions) = probe();
         let asking = asked.clone();
         let answer = tokio::spawn(async move { asking.is_alive().await });

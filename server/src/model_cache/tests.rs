@@ -147,7 +147,7 @@ async fn a_model_that_is_being_trained_is_not_given_up_for_others() {
 }
 
 #[tokio::test]
-async fn a_training_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
+async fn a_training_goes_on_while_anybody_waits_and_never_again_once_stopped() {
     let cache = ModelCache::<CachedModel>::new(3);
     let (one, other) = (cache.interest(key(1)), cache.interest(key(1)));
     let stop = one.training_stop();

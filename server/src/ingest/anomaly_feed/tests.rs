@@ -40,7 +40,7 @@ fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> 
 }
 
 #[test]
-fn observations_are_told_in_their_order_once_they_are_public() {
+fn observations_are_sent_in_their_order_once_they_are_public() {
     let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, before) = watchers.listen();
     assert_eq!(before, 0);
@@ -81,7 +81,7 @@ fn nothing_is_kept_while_nobody_watches() {
 }
 
 #[test]
-fn one_who_lags_loses_the_oldest_and_can_tell_how_many() {
+fn one_who_lags_loses_the_oldest_and_can_compute_how_many() {
     let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, mut expected) = watchers.listen();
     let pieces = PIECES as u64 + 10;

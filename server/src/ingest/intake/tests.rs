@@ -150,7 +150,7 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
 }
 
 #[test]
-fn what_was_said_of_a_state_says_which_values_it_may_have() {
+fn the_declared_kind_of_a_state_limits_its_values() {
     let values = [2.5, -3.0, 1e300, 7.0];
     for (kind, kept) in [
         (v1::StateKind::Unspecified, vec![2.5, -3.0, 7.0]),

@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_a_program_says_is_told_and_bounded() {
+    async fn the_output_of_a_program_is_passed_on_and_bounded() {
         let (status, lines) = lines_of("cat; echo; echo a >&2; exit 3", Some("secret")).await;
         assert_eq!((exit_status(status), lines.len()), (3, 2));
         assert!(lines.contains(&json!("secret")) && lines.contains(&json!("a")), "{lines:?}");
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_program_that_takes_too_much_of_the_processor_ends_and_says_why() {
+    async fn a_program_that_takes_too_much_of_the_processor_ends_with_the_reason() {
         let mut command = Command::new("/bin/sh");
         command.args(["-c", "while :; do :; done"]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.kill_on_drop(true).spawn().expect("a shell");

@@ -161,7 +161,7 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
 }
 
 #[tokio::test]
-async fn a_writer_that_may_have_been_replaced_tells_nobody_how_far_a_sequence_is_durable() {
+async fn a_writer_that_may_have_been_replaced_reports_to_nobody_how_far_a_sequence_is_durable() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     replica.write(1);
@@ -174,7 +174,7 @@ async fn a_writer_that_may_have_been_replaced_tells_nobody_how_far_a_sequence_is
 }
 
 #[tokio::test]
-async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer() {
+async fn a_stream_receives_what_is_in_the_log_before_it_learns_of_another_writer() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bare = bare(dir.path(), NOON, None);
     bare.writer.follower = Follower::new(watch::channel(MapRole::default()).0, true);
@@ -229,7 +229,7 @@ async fn streams_end_as_moved_also_where_the_log_knows_of_the_other_writer_first
 }
 
 #[tokio::test]
-async fn only_the_writer_makes_updates_due_and_says_what_they_made_before_the_next() {
+async fn only_the_writer_makes_updates_due_and_logs_what_they_made_before_the_next() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     replica.follow("b");
@@ -309,7 +309,7 @@ async fn an_update_that_the_log_begins_waits_for_the_one_before() {
 }
 
 #[tokio::test]
-async fn a_writer_that_takes_over_says_what_the_update_begun_before_has_made() {
+async fn a_writer_that_takes_over_logs_what_the_update_begun_before_has_made() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     let busy = keep_busy(&replica.context);
@@ -334,7 +334,7 @@ async fn a_writer_that_takes_over_says_what_the_update_begun_before_has_made() {
 }
 
 #[tokio::test]
-async fn a_follower_compares_what_its_updates_make_with_what_the_log_says() {
+async fn a_follower_compares_what_its_updates_make_with_the_log() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (writer, log) = replica(&dir.path().join("writer"));
     writer.write(1);
@@ -362,7 +362,7 @@ async fn a_follower_compares_what_its_updates_make_with_what_the_log_says() {
 }
 
 #[tokio::test]
-async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_told() {
+async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_reported() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (mut replica, log) = replica(dir.path());
     replica.write(1);

@@ -90,7 +90,7 @@ async fn what_was_seen_of_a_map_that_is_gone_is_asked_of_none_that_has_its_name(
 }
 
 #[tokio::test]
-async fn a_follower_that_does_not_hear_who_writes_asks_the_cluster() {
+async fn a_follower_that_does_not_know_the_writer_asks_the_cluster() {
     let (a, b) = Member::pair().await;
     a.tell(ReplicaEvent::Following { writer: None }).await;
     *a.known.writer_of_held.lock().expect("not poisoned") = Some("b".to_owned());

@@ -30,7 +30,7 @@ impl Member {
 }
 
 #[tokio::test]
-async fn a_token_for_other_maps_does_not_hear_how_a_map_is_doing() {
+async fn a_token_for_other_maps_does_not_show_the_condition_of_a_map() {
     let a = member("a").await;
     a.create().await;
     a.tell(ReplicaEvent::Following { writer: None }).await;
