@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn failures_are_asked_for_by_edge() {
+    fn failures_are_requested_by_edge() {
         let failure = traversal_from_wire(&wire()).expect("right").failure().expect("it failed");
         let there = failure_to_wire(&failure).edge.expect("an edge");
         assert!(is_of(&failure, &there));
