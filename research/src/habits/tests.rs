@@ -67,7 +67,7 @@ fn a_world_is_that_of_its_habit_and_seed() {
 }
 
 #[test]
-fn states_are_1_as_often_as_their_habit_says() {
+fn states_are_1_as_often_as_in_their_habit() {
     let (weekday, any) = (|day: &calendar::HabitDay| !day.is_weekend(), |_: &calendar::HabitDay| true);
     let office = worlds("office");
     about(share(&office, 10.0..11.5, weekday), 0.8);
