@@ -34,7 +34,7 @@ fn predict(daemon: &Daemon, map: &str, state: &str, secs: &[i64]) -> Table {
 }
 
 #[test]
-fn hours_that_nobody_looked_at_stay_unknown_also_after_a_restart() {
+fn hours_that_nobody_observed_stay_unknown_also_after_a_restart() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC"]).table();

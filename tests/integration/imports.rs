@@ -161,7 +161,7 @@ fn scans_without_a_place_are_counted_and_named() {
 }
 
 #[test]
-fn one_scan_in_each_period_is_taken_if_that_is_asked_for() {
+fn one_scan_in_each_period_is_taken_if_that_is_requested() {
     let (folder, daemon) = started();
     let file = written(&folder, "drive.bag", &drive(30), usize::MAX);
     let thinned = words(&daemon, &format!("import room {} --producer robot-1 --period 10s", file.display()));
@@ -170,7 +170,7 @@ fn one_scan_in_each_period_is_taken_if_that_is_asked_for() {
 }
 
 #[test]
-fn what_cannot_be_imported_is_said_and_what_to_do() {
+fn what_cannot_be_imported_is_an_error_with_advice() {
     let (folder, daemon) = started();
     let file = |name: &str, bytes: &[u8]| {
         let path = folder.path().join(name);

@@ -119,7 +119,7 @@ fn rows_of_an_erased_state_are_sent_anew_by_the_advised_command() {
 }
 
 #[test]
-fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
+fn rows_that_do_not_mean_what_their_sender_thinks_give_a_warning() {
     let home = Home::new();
     let (mut words, mut events) = ("time,state,value\n".to_owned(), "time,state,value\n".to_owned());
     for row in 0..30 {
@@ -150,7 +150,7 @@ fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
 }
 
 #[test]
-fn the_night_in_which_an_hour_comes_twice_is_told() {
+fn the_night_in_which_an_hour_comes_twice_is_reported() {
     let home = Home::new();
     // 2025-10-26T00:00:00Z is 02:00 in Berlin for the first time.
     let first = 1_761_436_800;

@@ -195,7 +195,7 @@ async fn requests_count_by_token_and_not_by_address() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn updates_that_were_asked_for_give_their_places_back() {
+async fn updates_that_were_requested_give_their_places_back() {
     let (_work, daemon, [client], _) = guarded(|launch| launch).await;
     let mut service = MaintenanceServiceClient::new(client.requests());
     let mut asked = 0;

@@ -38,7 +38,7 @@ fn after(before: f64, is_one: bool) -> f64 {
 }
 
 #[test]
-fn a_reading_of_a_known_sensor_proves_what_bayes_says() {
+fn a_reading_of_a_known_sensor_has_the_weight_of_the_rule_of_bayes() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC", "--clock", "simulated"]).table();

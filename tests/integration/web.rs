@@ -61,7 +61,7 @@ async fn every_rpc_that_takes_one_request_is_there_as_json() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn json_says_what_grpc_says() {
+async fn json_and_grpc_give_equal_answers() {
     let data = tempdir().expect("a folder");
     let daemon = daemon_with_a_door(data.path()).await;
     let map = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
@@ -146,7 +146,7 @@ async fn pages_of_others_are_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_tokens_the_port_is_for_reading_unless_the_operator_says_otherwise() {
+async fn without_tokens_the_port_is_for_reading_unless_the_operator_allows_more() {
     let data = tempdir().expect("a folder");
     let daemon = daemon_with_a_door(data.path()).await;
     let create = json!({ "name": "new" });

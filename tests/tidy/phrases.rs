@@ -134,7 +134,7 @@ fn paragraphs(lines: &[Line]) -> Vec<(usize, Vec<String>)> {
 }
 
 #[test]
-fn names_say_what_a_value_is() {
+fn names_state_what_a_value_is() {
     let mut broken = Vec::new();
     for path in &files(".", ".rs") {
         for (number, line) in lines(&read(path)).iter().enumerate() {

@@ -15,7 +15,7 @@ async fn until_value(daemon: &Daemon, series: &str, expected: f64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_say_who_writes_who_is_gone_and_that_the_engine_is_silent() {
+async fn metrics_show_who_writes_who_is_gone_and_that_the_engine_is_silent() {
     let mut engine = match NatsServers::start(1).await {
         Ok(engine) => engine,
         Err(reason) => return println!("SKIPPED: {reason}"),

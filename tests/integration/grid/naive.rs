@@ -178,7 +178,7 @@ impl Naive {
     /// The default prediction: near the mean at hours that were hardly observed.
     pub(crate) fn answer(&self, utc_nanos: i64) -> f64 {
         let hour = hour(utc_nanos);
-        let looks = self.looks_that_speak(kind_of_day(hour / 24), hour as usize % 24);
+        let looks = self.counted_looks(kind_of_day(hour / 24), hour as usize % 24);
         // Rounds as the daemon stores it: in sixteenths of a doubling.
         let looks = ((((1.0 + 4.0 * looks).log2() * 16.0).min(254.0).floor() / 16.0).exp2() - 1.0) / 4.0;
         let kept =
@@ -188,7 +188,7 @@ impl Naive {
     }
 
     /// The number of bins of an hour, with the evidence from bins of nearby hours and of the other kind of day.
-    fn looks_that_speak(&self, kind: usize, hour: usize) -> f64 {
+    fn counted_looks(&self, kind: usize, hour: usize) -> f64 {
         let mut speak = self.hours[kind][hour];
         for (other_kind, hours) in self.hours.iter().enumerate() {
             for (other, looks) in hours.iter().enumerate() {

@@ -61,7 +61,7 @@ fn poses_of_which_some_are_not_finite_are_refused_one_by_one() {
 }
 
 #[test]
-fn recordings_with_nothing_to_take_or_of_an_old_version_say_so() {
+fn recordings_with_nothing_to_take_or_of_an_old_version_are_refused_with_the_reason() {
     let Some(bags) = recordings::folder("bags") else { return };
     let (_folder, daemon) = started();
     let bags = bags.display();

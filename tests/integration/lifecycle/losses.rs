@@ -96,7 +96,7 @@ async fn accept(data: &Path, file: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lost_list_of_maps_is_told_until_the_loss_is_accepted() {
+async fn a_lost_list_of_maps_is_reported_until_the_loss_is_accepted() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     fs::remove_file(data.path().join("MAPS")).expect("removable");
@@ -112,7 +112,7 @@ async fn a_lost_list_of_maps_is_told_until_the_loss_is_accepted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lost_list_of_history_is_told_until_the_loss_is_accepted() {
+async fn a_lost_list_of_history_is_reported_until_the_loss_is_accepted() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     let history = data.path().join("maps/00000001/history");
@@ -147,7 +147,7 @@ async fn a_lost_end_of_a_log_sets_the_map_aside_until_the_loss_is_accepted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_missing_checkpoint_index_or_list_of_checkpoints_loses_nothing_and_is_told() {
+async fn a_missing_checkpoint_index_or_list_of_checkpoints_loses_nothing_and_is_reported() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     let sound = check(data.path(), &[]);

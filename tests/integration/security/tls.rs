@@ -208,7 +208,7 @@ async fn a_client_that_is_silent_in_the_handshake_is_left() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn beyond_loopback_http_speaks_tls_and_shows_metrics_to_holders_of_tokens() {
+async fn beyond_loopback_http_uses_tls_and_shows_metrics_to_holders_of_tokens() {
     let work = tempdir().expect("a folder");
     let (authority, tokens) = (Authority::new("ours"), Tokens::of(work.path()));
     let (planner, of_one_map) = (tokens.create(&["planner"], &[]), tokens.create(&["admin"], &["office"]));

@@ -147,7 +147,7 @@ async fn a_grid_is_a_picture_at_a_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pictures_that_cannot_be_made_say_why() {
+async fn pictures_that_cannot_be_made_give_the_reason() {
     let (_data, daemon) = daemon_with_a_grid().await;
     let empty = NewMap { name: "new".to_owned(), grid: Some(GridSpec::new(0.1)), ..NewMap::default() };
     daemon.client().create_map(empty).await.expect("a new map");
@@ -235,7 +235,7 @@ fn a_topology_is_geojson_at_a_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_browser_gets_a_grid_compressed_if_it_says_that_it_can_read_it() {
+async fn a_browser_gets_a_grid_compressed_if_it_accepts_that() {
     let (_data, daemon) = daemon_with_a_grid().await;
     let time = Some(prost_types::Timestamp { seconds: NOON_SECS + 3_600, nanos: 0 });
     let asked = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();

@@ -126,7 +126,7 @@ fn a_recording_is_imported_once_and_its_file_is_gone() {
 }
 
 #[test]
-fn what_is_no_recording_is_told_and_makes_no_map() {
+fn what_is_no_recording_is_an_error_and_makes_no_map() {
     let (data, daemon) = started();
     let (said, exit) = imported(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
     assert_eq!(exit, 1, "{said}");
