@@ -109,7 +109,7 @@ fn the_viewpoint_is_the_pose() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_say_where_and_what_would_be_right() {
+fn errors_name_the_place_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("ply\n", "the start of the file is \"ply\"");
     refused(ascii_file().replace("0.7\nF", "0.8\nF"), "line 2: VERSION is \"0.8\"; it has to be 0.5, 0.6 or 0.7");

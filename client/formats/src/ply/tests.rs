@@ -70,7 +70,7 @@ fn every_encoding_gives_the_same_points() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_say_where_and_what_would_be_right() {
+fn errors_name_the_place_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("VERSION 0.7\n", "the start of the file is \"VERSION 0.7\"");
     refused(ascii_file().replace("ascii 1.0", "ascii 2.0"), "line 2: format is \"ascii 2.0\"");
