@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ending_says_what_to_export() {
+    fn an_ending_decides_what_to_export() {
         let kind = |path: &str| kind(Path::new(path)).map_err(|error| error.0);
         assert_eq!(kind("week.mcap"), Ok(ExportKind::Recording));
         assert_eq!(kind("a/ten.YAML"), Ok(ExportKind::Image));

@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ending_says_what_to_write() {
+    fn an_ending_decides_what_to_write() {
         assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(OutputKind::Pgm));
         assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv, .ply or .bt")));
         assert_eq!(
