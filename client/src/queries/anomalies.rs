@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn anomalies_come_by_time_and_within_what_was_asked_for() {
+    fn anomalies_come_by_time_and_within_what_was_requested() {
         let reply = |times: &[i64]| v1::FindAnomaliesResponse {
             times_nanos: times.to_vec(),
             values: vec![0.0; 2],

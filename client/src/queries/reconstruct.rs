@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn observations_come_by_time_and_within_what_was_asked_for() {
+    fn observations_come_by_time_and_within_what_was_requested() {
         let reply = |times: &[i64]| v1::ReconstructResponse { times_nanos: times.to_vec(), values: vec![1.0; 2] };
         assert_eq!(checked(reply(&[5, 9]), 5..10), Ok(vec![(5, 1.0), (9, 1.0)]));
         assert_eq!(checked(reply(&[5, 5]), 5..10), Ok(vec![(5, 1.0), (5, 1.0)]));

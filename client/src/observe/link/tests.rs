@@ -322,7 +322,7 @@ async fn a_key_that_an_ended_stream_still_holds_is_waited_for() -> Tested {
 }
 
 #[tokio::test]
-async fn a_producer_that_is_asked_says_that_it_is_there() -> Tested {
+async fn a_producer_that_is_asked_answers_that_it_is_there() -> Tested {
     let (_fake, mut producer) = producer(&[Act::Probe]).await?;
     assert_eq!(send(&mut producer, &[1.0]).await, Ok(()));
     Ok(())
@@ -379,7 +379,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
 }
 
 #[tokio::test]
-async fn a_producer_that_announced_data_time_says_that_it_is_gone() -> Tested {
+async fn a_producer_that_announced_data_time_announces_its_end() -> Tested {
     let acts = [Act::ServeAndStop, Act::Refuse(Code::Unavailable), Act::Refuse(Code::Unavailable), Act::Serve];
     let (fake, mut producer) = producer_with(&acts, |options| ProducerOptions { nightly: true, ..options }).await?;
     send(&mut producer, &[1.0]).await?;
