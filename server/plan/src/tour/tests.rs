@@ -292,29 +292,29 @@ fn ways(numbers: &[f64], count: usize, returns: bool) -> Ways<'static> {
     })
 }
 
-fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
-    fn each(order: &mut Vec<usize>, from: usize, tell: &mut impl FnMut(&[usize])) {
+fn permutations(goals: &[usize], report: &mut impl FnMut(&[usize])) {
+    fn each(order: &mut Vec<usize>, from: usize, report: &mut impl FnMut(&[usize])) {
         if from == order.len() {
-            tell(order);
+            report(order);
         }
         for other in from..order.len() {
             order.swap(from, other);
-            each(order, from + 1, tell);
+            each(order, from + 1, report);
             order.swap(from, other);
         }
     }
-    each(&mut goals.to_vec(), 0, tell);
+    each(&mut goals.to_vec(), 0, report);
 }
 
 /// Chooses goals by evaluating every candidate in every round.
 fn choose_plainly(scene: &Scene, fan: &Fan, candidates: &[TourCandidate], goals: usize) -> Vec<(usize, f64)> {
-    let mut looker = ViewScorer::new(fan);
+    let mut scorer = ViewScorer::new(fan);
     let mut covered: HashSet<CellIndex> = HashSet::new();
     let mut chosen: Vec<(usize, f64)> = Vec::new();
     while chosen.len() < goals {
         let mut best = (0, 0.0, 0.0);
         for (number, candidate) in candidates.iter().enumerate() {
-            let cells = looker.cells(scene, fan, candidate.cell);
+            let cells = scorer.cells(scene, fan, candidate.cell);
             let mut bits = 0.0;
             for cell in cells.iter().filter(|cell| !covered.contains(cell)) {
                 bits += scene.bits(*cell);
@@ -326,7 +326,7 @@ fn choose_plainly(scene: &Scene, fan: &Fan, candidates: &[TourCandidate], goals:
         if best.1 <= 0.0 {
             break;
         }
-        covered.extend(looker.cells(scene, fan, candidates[best.0].cell));
+        covered.extend(scorer.cells(scene, fan, candidates[best.0].cell));
         chosen.push((best.0, best.2));
     }
     chosen

@@ -120,7 +120,7 @@ fn scene(grid: &PredictedGrid) -> Scene {
 /// A reported result of [`view_many`].
 type ReportedViews = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
-fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> ReportedViews {
+fn view_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> ReportedViews {
     let mut all = Vec::new();
     let outcome = view_many(scene, sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |number, view| {
         all.push((number, view));
@@ -233,7 +233,7 @@ proptest! {
             .enumerate()
             .map(|(number, &yaw)| centre(&lattice, cell(min.x + 4 * number as i32, min.y + 3 * number as i32, min.z), yaw))
             .collect();
-        let all = look_at_all(&timed, &sensor, &viewpoints);
+        let all = view_all(&timed, &sensor, &viewpoints);
         prop_assert_eq!(all.len(), viewpoints.len());
         let scenes: Vec<Scene> = (0..times).map(|time| scene(&day.at(time).unwrap())).collect();
         for ((number, view), at) in all.iter().zip(&viewpoints) {
@@ -305,7 +305,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
         centre(&lattice, cell(10, 15, 0), 0.0),
         Viewpoint { z_m: None, ..good },
     ];
-    let all = look_at_all(&timed, &sensor, &viewpoints);
+    let all = view_all(&timed, &sensor, &viewpoints);
     let numbers: Vec<usize> = all.iter().map(|(number, _)| *number).collect();
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
     let fan = Fan::new(&sensor, &lattice, 0.0).unwrap();
