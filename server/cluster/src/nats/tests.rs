@@ -57,8 +57,8 @@ async fn three_servers_behave_as_an_engine() {
             break checked;
         }
     };
-    let says: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
-    assert_eq!(says, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
+    let reported: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
+    assert_eq!(reported, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
     // The largest message can be appended, and both kinds of read return it.
     let largest = Bytes::from(vec![7; MESSAGE_BYTES_MAX]);
     first.create_stream("tm_large", 3).await.expect("create");
