@@ -71,7 +71,7 @@ impl Digests {
     }
 
     /// Records that the log contains the result that this replica, as the writer, has appended.
-    pub(crate) fn said(&mut self, logged: UpdateDone) {
+    pub(crate) fn note_logged(&mut self, logged: UpdateDone) {
         self.logged = Some(logged);
     }
 
@@ -170,7 +170,7 @@ mod tests {
         let mut digests = Digests::new(Some(done(1, 4)));
         digests.made(done(2, 5));
         assert_eq!(digests.owed(), Some(done(2, 5)));
-        digests.said(done(2, 5));
+        digests.note_logged(done(2, 5));
         assert_eq!(digests.owed(), None);
         let status = DigestStatus { generation: 2, digest: Digest(5), is_equal: None };
         assert_eq!(digests.status(), Some(status), "the writer is not compared with itself");

@@ -45,7 +45,7 @@ async fn a_follower_answers_with_the_state_of_its_copy() {
 async fn a_follower_without_contact_to_the_log_refuses_unless_that_is_allowed() {
     let (a, _b) = Member::pair().await;
     a.follow(1, &["door"]).await;
-    *a.known.heard.lock().expect("not poisoned") = None;
+    *a.known.last_contact.lock().expect("not poisoned") = None;
     let refused = a.states(None).await.expect_err("stale");
     assert_eq!(reason(&refused), (Code::Unavailable, "STALE".to_owned()));
     let mut request = tonic::Request::new(v1::ListStatesRequest { map: "office".to_owned(), ..Default::default() });
