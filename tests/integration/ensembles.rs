@@ -112,9 +112,9 @@ fn a_temperature_is_known_less_well_far_ahead_also_after_a_restart() {
     learn(&daemon, "home", &readings);
     let ask = |daemon: &Daemon| {
         let secs: Vec<i64> = [60, 69, 100].iter().map(|day| day * DAY_SECS + 3 * HOUR_SECS).collect();
-        let said = predict(daemon, "home", "heat", &secs);
-        assert_eq!(said.column("model"), ["ensemble"; 3]);
-        (said.numbers("probability"), said.numbers("lower"), said.numbers("upper"))
+        let answer = predict(daemon, "home", "heat", &secs);
+        assert_eq!(answer.column("model"), ["ensemble"; 3]);
+        (answer.numbers("probability"), answer.numbers("lower"), answer.numbers("upper"))
     };
     let before = ask(&daemon);
     let (value, lower, upper) = &before;

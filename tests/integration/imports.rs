@@ -187,7 +187,7 @@ fn what_cannot_be_imported_is_an_error_with_advice() {
     let mut nothing = Bag::default();
     nothing.text("/rosout", START_NANOS, "nothing");
     let nothing = written(&folder, "nothing.bag", &nothing, usize::MAX).display().to_string();
-    for (line, code, said) in [
+    for (line, code, parts) in [
         (format!("import home {old}"), 1, &["old.bag", "ROSRECORD V1.2", "rosbag fix"][..]),
         (format!("import home {table}"), 1, &["rows.csv", "tidemap observe"]),
         (format!("import home {}", folder.path().join("none.mcap").display()), 1, &["none.mcap"]),
@@ -198,7 +198,7 @@ fn what_cannot_be_imported_is_an_error_with_advice() {
         (format!("import home {door} --frame map"), 2, &["no frame \"map\""]),
         (format!("import home {nothing}"), 1, &["/rosout: nothing is made of std_msgs/String", "--mapping"]),
     ] {
-        words(&daemon, &line).fails(code, said);
+        words(&daemon, &line).fails(code, parts);
     }
     words(&daemon, "map show home").fails(1, &["home"]);
 }

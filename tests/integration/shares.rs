@@ -145,7 +145,7 @@ async fn new_tiles(client: &Client, producer: &str, y: i32, count: u32) -> Vec<R
         ..ScanBatch::default()
     };
     let mut stream = RawStream::open_as(client, hello(producer, "hall")).await.expect("a stream");
-    stream.say(Message::Scans(batch)).await;
+    stream.send_message(Message::Scans(batch)).await;
     stream.acknowledged(count.into()).await.expect("durable, or refused")
 }
 

@@ -189,7 +189,7 @@ impl Naive {
 
     /// The number of bins of an hour, with the evidence from bins of nearby hours and of the other kind of day.
     fn counted_looks(&self, kind: usize, hour: usize) -> f64 {
-        let mut speak = self.hours[kind][hour];
+        let mut counted = self.hours[kind][hour];
         for (other_kind, hours) in self.hours.iter().enumerate() {
             for (other, looks) in hours.iter().enumerate() {
                 let apart = other.abs_diff(hour).min(24 - other.abs_diff(hour));
@@ -197,11 +197,11 @@ impl Naive {
                 let share = if other_kind == kind { near } else { near * 0.6 };
                 if (other_kind, other) != (kind, hour) {
                     let share = f64::min(share * looks / (looks + 1.0), 0.95);
-                    speak += share / (1.0 - share);
+                    counted += share / (1.0 - share);
                 }
             }
         }
-        speak
+        counted
     }
 
     /// The default prediction with the last reading blended in.

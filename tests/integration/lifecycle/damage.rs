@@ -26,16 +26,16 @@ fn get(daemon: &Daemon, path: &str) -> (u16, String) {
 }
 
 /// Waits until readiness reports these words, or no longer does.
-async fn until_reported(daemon: &Daemon, words: &str, is_told: bool) -> String {
+async fn until_reported(daemon: &Daemon, words: &str, is_reported: bool) -> String {
     for _ in 0..600 {
         let (code, text) = get(daemon, "/readyz");
         assert_eq!(code, 200, "it goes on serving: {text}");
-        if text.contains(words) == is_told {
+        if text.contains(words) == is_reported {
             return text;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    panic!("/readyz: {}, and {words:?} expected: {is_told}", get(daemon, "/readyz").1)
+    panic!("/readyz: {}, and {words:?} expected: {is_reported}", get(daemon, "/readyz").1)
 }
 
 /// The first history file; the save that writes it follows the update.

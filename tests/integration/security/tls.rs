@@ -82,9 +82,9 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     let trusted = trusted.display().to_string();
     for number in 0..40 {
         let listed = cli::command(&server, ["--tls-ca", &trusted, "map", "list"]).output().expect("tidemap runs");
-        let said = String::from_utf8_lossy(&listed.stderr).into_owned();
-        let is_told = said.contains("--tls-cert") && said.contains("asks for a certificate of the client");
-        assert!(is_told, "try {number}: {said}");
+        let text = String::from_utf8_lossy(&listed.stderr).into_owned();
+        let is_reported = text.contains("--tls-cert") && text.contains("asks for a certificate of the client");
+        assert!(is_reported, "try {number}: {text}");
     }
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
     let log = daemon.stop_in_order();

@@ -222,8 +222,8 @@ fn a_topology_is_geojson_at_a_time() {
     assert_eq!(find("name", "lab")[0]["geometry"]["coordinates"], serde_json::json!([4.5, -6.0]));
     assert!(find("name", "attic")[0]["geometry"].is_null());
     let presence = cli::tidemap(&daemon, ["predict", "flat", "hall", "--at", &at]).table();
-    let said = find("name", "hall")[0]["properties"]["presence"].as_f64().expect("a number");
-    assert!((said - presence.number("probability")).abs() < 1e-6, "{said} {presence:?}");
+    let presence_of_hall = find("name", "hall")[0]["properties"]["presence"].as_f64().expect("a number");
+    assert!((presence_of_hall - presence.number("probability")).abs() < 1e-6, "{presence_of_hall} {presence:?}");
     let edges = find("from", "hall");
     let line = serde_json::json!([[1.0, 2.0], [4.5, -6.0]]);
     assert_eq!(edges[0]["geometry"], serde_json::json!({ "type": "LineString", "coordinates": line }));
