@@ -24,10 +24,10 @@ fn settings(changes: &[(&str, &str)]) -> Result<GridSettings, FormatError> {
     read_settings(yaml.as_bytes())
 }
 
-fn refused<T: std::fmt::Debug>(result: Result<T, FormatError>, says: &str) {
+fn refused<T: std::fmt::Debug>(result: Result<T, FormatError>, text: &str) {
     match result {
-        Ok(value) => panic!("{says}: {value:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(value) => panic!("{text}: {value:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 

@@ -98,10 +98,10 @@ fn sorted(map: &OctoMap) -> Vec<([i32; 3], i32, f32)> {
     leaves
 }
 
-fn refused(file: impl AsRef<[u8]>, says: &str) {
+fn refused(file: impl AsRef<[u8]>, text: &str) {
     match read(file.as_ref()) {
-        Ok(map) => panic!("{says}: {map:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(map) => panic!("{text}: {map:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 

@@ -49,10 +49,10 @@ fn binary_file(big: bool) -> Vec<u8> {
     file
 }
 
-fn refused(file: impl AsRef<[u8]>, says: &str) {
+fn refused(file: impl AsRef<[u8]>, text: &str) {
     match read(file.as_ref()) {
-        Ok(points) => panic!("{says}: {points:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(points) => panic!("{text}: {points:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 
