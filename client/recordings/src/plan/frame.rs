@@ -25,7 +25,7 @@ pub enum FrameChoice {
 
 /// The number of times at which sensors are checked, and the cosine of the angle from which on a sensor counts as
 /// leaning, 5 degrees.
-const LOOKS: u32 = 50;
+const CHECKED_TIMES: u32 = 50;
 const LEVEL_COSINE: f64 = 0.996_2;
 
 /// Names of frames that do not move, the best first.
@@ -78,8 +78,8 @@ pub(super) fn choose(
 pub(super) fn is_level(surveyed: &Surveyed, topic: &TopicSurvey, frame: Option<&str>) -> bool {
     let (Some(frame), Some(stamps)) = (frame, topic.stamps) else { return true };
     let length = i128::from(stamps.last_nanos) - i128::from(stamps.first_nanos);
-    (0..=LOOKS).all(|look| {
-        let elapsed = length * i128::from(look) / i128::from(LOOKS);
+    (0..=CHECKED_TIMES).all(|number| {
+        let elapsed = length * i128::from(number) / i128::from(CHECKED_TIMES);
         let time_nanos = stamps.first_nanos.saturating_add(i64::try_from(elapsed).unwrap_or(i64::MAX));
         let pose = surveyed.frames.pose(&topic.frame, frame, time_nanos);
         // A scanner that hangs upside down is level, too.
