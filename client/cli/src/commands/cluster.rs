@@ -170,10 +170,10 @@ async fn status(session: &Session, credentials: &Credentials, of_maps: bool) -> 
 }
 
 /// Waits for something to be true of the cluster.
-async fn wait_for<T>(what: &str, mut look: impl AsyncFnMut() -> anyhow::Result<Option<T>>) -> anyhow::Result<T> {
+async fn wait_for<T>(what: &str, mut check: impl AsyncFnMut() -> anyhow::Result<Option<T>>) -> anyhow::Result<T> {
     let begun = Instant::now();
     loop {
-        let seen = look().await;
+        let seen = check().await;
         match seen {
             Ok(Some(found)) => return Ok(found),
             // A daemon may be slow to answer for a moment.

@@ -12,7 +12,7 @@ use tidemap_proto::{
 use super::{rows::state, view::ClusterView};
 
 /// A follower that has not received the end of the log for this long needs attention.
-const HEARD_WITHIN_NANOS: i64 = 10_000_000_000;
+const CONTACT_WITHIN_NANOS: i64 = 10_000_000_000;
 
 /// The severity of a problem; as a number, the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -132,11 +132,11 @@ fn of_replica(map: &str, member: &str, replica: &v1::MapReplica, found: &mut Vec
         add(Severity::Error, "its newest generation differs from the writer's".to_owned());
     }
     match span(replica.heard_age) {
-        Some(heard) if heard <= HEARD_WITHIN_NANOS => {}
-        Some(heard) => {
+        Some(contact_age) if contact_age <= CONTACT_WITHIN_NANOS => {}
+        Some(contact_age) => {
             add(
                 Severity::Warning,
-                format!("it has not heard for {} s where the shared log ends", heard / 1_000_000_000),
+                format!("it has not heard for {} s where the shared log ends", contact_age / 1_000_000_000),
             );
         }
         None => add(Severity::Warning, "it has never heard where the shared log ends".to_owned()),

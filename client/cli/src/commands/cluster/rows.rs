@@ -89,14 +89,14 @@ pub(super) fn members(view: &ClusterView) -> Vec<Vec<Cell>> {
             answer.maps.iter().filter_map(|map| Some((map.map.as_str(), map.replica.as_ref()?))).collect();
         let writes = held.iter().filter(|(_, replica)| is_writing(replica)).count() as u64;
         let lag = held.iter().map(|(map, replica)| view.end(map).saturating_sub(replica.position)).max();
-        let heard = held.iter().filter_map(|(_, replica)| span(replica.heard_age)).max();
+        let contact_age = held.iter().filter_map(|(_, replica)| span(replica.heard_age)).max();
         let troubles = held.iter().filter(|(_, replica)| !replica.trouble.is_empty());
         let troubles: Vec<String> = troubles.map(|(map, replica)| format!("{map}: {}", replica.trouble)).collect();
         row.extend([
             writes.into(),
             (held.len() as u64 - writes).into(),
             Cell::maybe(lag),
-            Cell::secs(heard),
+            Cell::secs(contact_age),
             (held.iter().map(|(_, replica)| replica.forks.len() as u64).sum::<u64>()).into(),
             text_or_empty(&troubles.join("; ")),
         ]);
