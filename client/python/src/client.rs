@@ -21,7 +21,7 @@ use crate::{
     failure, grids,
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
     open_producer::{Driven, OpenProducer},
-    reports::SaidReporting,
+    reports::GivenReporting,
     room::Room,
     rpc::{self, Replies, model_named},
     waiting::{Maker, runtime, wait},
@@ -244,7 +244,7 @@ impl NativeClient {
     /// Checks that a kind exists and fits the reporting of the states, before anything is withdrawn or sent.
     #[pyo3(signature = (kind, reporting=None))]
     #[expect(clippy::unused_self, reason = "Python has the client at hand")]
-    fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<SaidReporting>) -> PyResult<()> {
+    fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<GivenReporting>) -> PyResult<()> {
         states_of(py, kind, reporting).map(drop)
     }
 
@@ -270,7 +270,7 @@ impl NativeClient {
         nightly: bool,
         positions: Option<PyReadonlyArray2<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
-        reporting: Option<SaidReporting>,
+        reporting: Option<GivenReporting>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let are_labels = kind == Some(CATEGORICAL);
         let (kind, reporting) = states_of(py, kind, reporting)?;
@@ -451,7 +451,7 @@ impl NativeClient {
         producer: &str,
         label: &str,
         kind: Option<&str>,
-        reporting: Option<SaidReporting>,
+        reporting: Option<GivenReporting>,
         patience_secs: f64,
     ) -> PyResult<OpenProducer> {
         let (kind, reporting) = states_of(py, kind, reporting)?;
