@@ -265,18 +265,18 @@ fn a_tour_that_is_stopped_ends_soon_and_gives_nothing() {
         ..question(&grid, 30, 30)
     };
     let fan = Fan::new(&ask.sensor, grid.lattice(), 0.0).unwrap();
-    let asked = AtomicUsize::new(0);
+    let calls = AtomicUsize::new(0);
     let plan = |after: usize| {
-        asked.store(0, Ordering::Relaxed);
-        let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+        calls.store(0, Ordering::Relaxed);
+        let is_set = || calls.fetch_add(1, Ordering::Relaxed) >= after;
         plan_tour_with(&fan, &grid, &Reachability::default(), &ask, StopSignal::new(&is_set))
     };
     let whole = plan(usize::MAX).unwrap();
-    let steps = asked.load(Ordering::Relaxed);
+    let steps = calls.load(Ordering::Relaxed);
     assert!(whole.steps.len() > 8 && steps > 300, "{} {steps}", whole.steps.len());
     for after in (0..20).map(|part| part * steps / 20).chain([steps - 1]) {
         assert_eq!(plan(after), Err(TourError::Stop(EarlyStop)), "{after} of {steps}");
-        let further = asked.load(Ordering::Relaxed) - after;
+        let further = calls.load(Ordering::Relaxed) - after;
         assert!(further <= 20, "{further} further steps after {after} of {steps}");
     }
     assert_eq!(plan(steps), Ok(whole));

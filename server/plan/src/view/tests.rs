@@ -338,8 +338,8 @@ fn the_receiver_of_views_can_end_the_work() {
 fn views_that_should_stop_end_soon_and_are_not_reported() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 2, |at, _| grid.probability(at)).unwrap();
-    let asked = AtomicUsize::new(0);
-    let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= 100;
+    let calls = AtomicUsize::new(0);
+    let is_set = || calls.fetch_add(1, Ordering::Relaxed) >= 100;
     let stop = StopSignal::new(&is_set);
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 1_000];
@@ -350,7 +350,7 @@ fn views_that_should_stop_end_soon_and_are_not_reported() {
         ControlFlow::Continue(())
     });
     assert_eq!(answer, Err(TooMuchWork::Stop(EarlyStop)));
-    assert!(reported < 128 && asked.load(Ordering::Relaxed) < 400, "{reported}");
+    assert!(reported < 128 && calls.load(Ordering::Relaxed) < 400, "{reported}");
     assert_eq!(TimedScene::new(&day, &SceneOptions::default(), stop).map(|_| ()), Err(SceneError::Stop(EarlyStop)));
 }
 

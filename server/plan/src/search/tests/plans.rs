@@ -160,11 +160,11 @@ fn a_search_that_is_cut_short_has_a_bound_of_its_quality() {
         let (roads, goals) = (map.roads(), goals(&map));
         let best = search(&roads, map.start(), &goals, &SearchOptions::default(), || false).unwrap();
         assert!(best.optimal);
-        let mut asked = 0;
+        let mut calls = 0;
         for limit in [0, 1, 20, 400] {
             let until = || {
-                asked += 1;
-                asked > limit
+                calls += 1;
+                calls > limit
             };
             let cut = search(&roads, map.start(), &goals, &SearchOptions::default(), until).unwrap();
             assert_eq!(cut.steps.len(), 22);
