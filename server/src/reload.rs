@@ -77,14 +77,14 @@ impl FileWatch {
         let mut failed: Option<Failure> = None;
         pause.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
-            let is_asked = tokio::select! {
+            let is_requested = tokio::select! {
                 _ = pause.tick() => false,
                 received = async { match &mut hangup { Some(hangup) => hangup.recv().await, None => None } },
                     if hangup.is_some() => received.is_some(),
             };
             let now = stamps(&self.paths);
             let is_changed = now != self.stamps;
-            if !is_changed && !is_asked && failed.as_ref().is_none_or(|failure| !failure.is_due()) {
+            if !is_changed && !is_requested && failed.as_ref().is_none_or(|failure| !failure.is_due()) {
                 continue;
             }
             self.stamps = now;
@@ -97,8 +97,8 @@ impl FileWatch {
                 Err(error) => {
                     let reason = error.to_string();
                     let before = failed.take().filter(|before| before.is_reported && before.reason == reason);
-                    let is_settled = is_asked || !is_changed;
-                    if is_asked || (is_settled && before.is_none()) {
+                    let is_settled = is_requested || !is_changed;
+                    if is_requested || (is_settled && before.is_none()) {
                         metrics::counter!("tidemap_reload_failures_total", "what" => what).increment(1);
                         error!(
                             "the {what} changed, and the new ones cannot be used; those before stay in use: {reason}"

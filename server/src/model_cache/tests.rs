@@ -58,8 +58,8 @@ async fn a_model_is_trained_once_however_many_ask_for_it() {
     keep(&cache, key(2), 0.5).await;
     assert_eq!(cache.get(&key(2)).map(|trained| value(&trained)), Some(0.5));
     go.notify_one();
-    for asked in asking {
-        assert_eq!(asked.await.expect("no panic"), Ok(0.25));
+    for waiting in asking {
+        assert_eq!(waiting.await.expect("no panic"), Ok(0.25));
     }
     keep(&cache, key(1), 1.0).await;
     assert_eq!(cache.get(&key(1)).map(|trained| value(&trained)), Some(0.25));

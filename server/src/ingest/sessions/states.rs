@@ -279,17 +279,21 @@ impl Sessions {
                 Err(AddStateError::OtherLabels { name: name.clone() })
             }
             Some(found) if found.shape == shape => {
-                if let Some(asked) = stated.filter(|stated| !stated.fits(found.reporting)) {
-                    return Err(AddStateError::OtherReporting { name: name.clone(), found: found.reporting, asked });
+                if let Some(requested) = stated.filter(|stated| !stated.fits(found.reporting)) {
+                    return Err(AddStateError::OtherReporting {
+                        name: name.clone(),
+                        found: found.reporting,
+                        requested,
+                    });
                 }
                 match sensor {
-                    Some(asked) if found.sensor != Some(asked) => {
-                        Err(AddStateError::OtherSensor { name: name.clone(), found: found.sensor, asked })
+                    Some(requested) if found.sensor != Some(requested) => {
+                        Err(AddStateError::OtherSensor { name: name.clone(), found: found.sensor, requested })
                     }
                     _ => Ok(None),
                 }
             }
-            Some(found) => Err(AddStateError::OtherKind { name: name.clone(), found: found.shape, asked: shape }),
+            Some(found) => Err(AddStateError::OtherKind { name: name.clone(), found: found.shape, requested: shape }),
             None => {
                 let mut room = self.state_places.room(client, map.states() + self.states_in_flight.states());
                 let in_flight = &mut self.states_in_flight;

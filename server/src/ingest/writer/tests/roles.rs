@@ -315,10 +315,10 @@ async fn a_writer_that_takes_over_logs_what_the_update_begun_before_has_made() {
     let busy = keep_busy(&replica.context);
     replica.send_events(log.append_elsewhere(vec![observed(1..=2, NOON), begun(1)])).await.expect("applied");
     replica.write(2);
-    let asked = replica.update();
+    let job = replica.update();
     let mut robot = hello(&replica.handle, "r", 1, false).await.expect("accepted while the update runs");
     robot.observe(&replica.handle, NOON + 5).await;
-    assert_eq!(asked.status().phase, Phase::Waiting);
+    assert_eq!(job.status().phase, Phase::Waiting);
     drop(busy);
     let events = log.grown(5).await;
     let generations: Vec<_> = events[3..5]
