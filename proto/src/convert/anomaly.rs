@@ -204,10 +204,10 @@ mod tests {
             to_time: Some(timestamp(9)),
             ..Default::default()
         };
-        let asked = |request| surprises_from_wire(request).map(|(_, question)| question);
-        let question = asked(right()).expect("right");
+        let question_of = |request| surprises_from_wire(request).map(|(_, question)| question);
+        let question = question_of(right()).expect("right");
         assert_eq!((question.within_nanos, question.confidence.get(), question.top), (5..9, 0.99, 100));
-        let field = |request| asked(request).expect_err("wrong").field;
+        let field = |request| question_of(request).expect_err("wrong").field;
         assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(0.8), ..right() }), "confidence");
         assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(2.0), ..right() }), "confidence");
         assert_eq!(field(v1::ListSurprisesRequest { top: 10_001, ..right() }), "top");
