@@ -87,10 +87,11 @@ fn a_map_without_ensembles_answers_by_what_was_chosen() {
     tidemap(&daemon, ["state", "add", "plain", "heat", "--kind", "continuous"]).table();
     learn(&daemon, "plain", &rows("door", (0..48).map(|hour| (hour * HOUR_SECS, hour % 24 > 8))));
     let at = (START_SECS + 3 * DAY_SECS).to_string();
-    let asked = |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
+    let predicted =
+        |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
     // The reply names another model.
     for state in ["door", "heat"] {
-        assert_ne!(asked(state).table().column("model"), ["ensemble"]);
+        assert_ne!(predicted(state).table().column("model"), ["ensemble"]);
     }
 }
 

@@ -158,10 +158,10 @@ fn the_night_in_which_an_hour_comes_twice_is_reported() {
     home.observe(&home.file("night.csv", &format!("time,state,value\n{rows}")), &[]).table();
     home.run(&["update", "home"]).table();
     let predict = |more: &[&str]| home.run(&[&["predict", "home", "door"], more].concat());
-    let asked = predict(&["--at", "2025-10-26T02:30", "--local"]);
-    assert_eq!(asked.table().column("time"), [(first + 1_800).to_string()]);
-    assert!(asked.stderr.contains("comes twice in Europe/Berlin"), "{}", asked.stderr);
-    assert!(asked.stderr.contains("The second is 2025-10-26T02:30+01:00"), "{}", asked.stderr);
+    let predicted = predict(&["--at", "2025-10-26T02:30", "--local"]);
+    assert_eq!(predicted.table().column("time"), [(first + 1_800).to_string()]);
+    assert!(predicted.stderr.contains("comes twice in Europe/Berlin"), "{}", predicted.stderr);
+    assert!(predicted.stderr.contains("The second is 2025-10-26T02:30+01:00"), "{}", predicted.stderr);
     let second = predict(&["--at", "2025-10-26T02:30+01:00"]);
     assert_eq!(second.table().column("time"), [(first + 5_400).to_string()]);
     let table = predict(&["--date", "2025-10-26", "--output", "table"]);

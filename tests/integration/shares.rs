@@ -198,11 +198,11 @@ async fn requests_count_by_token_and_not_by_address() {
 async fn updates_that_were_requested_give_their_places_back() {
     let (_work, daemon, [client], _) = guarded(|launch| launch).await;
     let mut service = MaintenanceServiceClient::new(client.requests());
-    let mut asked = 0;
-    while asked < 40 {
+    let mut taken = 0;
+    while taken < 40 {
         let request = RunUpdateRequest { map: "office".to_owned(), until: None };
         match service.run_update(request).await {
-            Ok(_) => asked += 1,
+            Ok(_) => taken += 1,
             Err(refused) => check(&refused, &["one client has asked for"]),
         }
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;

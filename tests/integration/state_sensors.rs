@@ -27,8 +27,8 @@ fn observe(daemon: &Daemon, state: &str, readings: &[(i64, u8)]) {
 
 fn predict(daemon: &Daemon, state: &str, secs: i64) -> f64 {
     let at = (START_SECS + secs).to_string();
-    let asked = ["predict", "home", state, "--at", &at, "--model", "auto+belief"];
-    tidemap(daemon, asked).table().numbers("probability")[0]
+    let arguments = ["predict", "home", state, "--at", &at, "--model", "auto+belief"];
+    tidemap(daemon, arguments).table().numbers("probability")[0]
 }
 
 /// The probability of 1 after a reading, from that before it.

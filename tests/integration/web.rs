@@ -67,8 +67,8 @@ async fn json_and_grpc_give_equal_answers() {
     let map = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
     assert_eq!((map.code, map.json()["map"]["observations"].as_str()), (200, Some("2")), "{}", map.text());
 
-    let asked = json!({ "map": "home", "states": ["door"], "timesNanos": ["5000000000", "9000000000"] });
-    let answer = call(&daemon.http, "tidemap.v1.QueryService/PredictStates", &[], &asked);
+    let request = json!({ "map": "home", "states": ["door"], "timesNanos": ["5000000000", "9000000000"] });
+    let answer = call(&daemon.http, "tidemap.v1.QueryService/PredictStates", &[], &request);
     assert_eq!((answer.code, answer.headers["content-type"].as_str()), (200, "application/x-ndjson"));
     let line: Value = serde_json::from_str(answer.text().trim_end()).expect("one line");
     let times = vec![5_000_000_000, 9_000_000_000];

@@ -124,8 +124,8 @@ fn a_model_that_is_not_there_is_left_out_with_a_notice() {
         assert!(all.stderr.contains(&format!("{model} is left out of a")), "{model}: {}", all.stderr);
     }
     evaluate(&door, "short", &states[..1], "pergam,mean").fails(1, &["pergam:3", "keeps none", "retention"]);
-    let asked = door.tidemap(["predict", "short", "a", "--at", "1460000000", "--model", "calibrated"]);
-    asked.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "retention"]);
+    let outcome = door.tidemap(["predict", "short", "a", "--at", "1460000000", "--model", "calibrated"]);
+    outcome.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "retention"]);
 }
 
 #[test]

@@ -92,17 +92,17 @@ async fn a_reply_that_lacks_a_history_file_is_data_loss_with_the_interval() {
     let daemon = with_history(data.path()).await;
     let file = history_file(data.path()).await;
     let times = json!({ "map": "office", "state": "door", "fromTime": "1970-01-01T00:00:00Z", "toTime": "1970-01-02T00:00:00Z" });
-    let asked = || call(&daemon.http, "QueryService/Reconstruct", &[], &times);
-    assert!(!asked().text().contains("error"), "{}", asked().text());
+    let reconstruct = || call(&daemon.http, "QueryService/Reconstruct", &[], &times);
+    assert!(!reconstruct().text().contains("error"), "{}", reconstruct().text());
     fs::remove_file(&file).expect("removable");
     // Until the save has ended, the observations are still in memory.
-    let mut lacking = asked();
+    let mut lacking = reconstruct();
     for _ in 0..600 {
         if !lacking.reason().is_empty() {
             break;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
-        lacking = asked();
+        lacking = reconstruct();
     }
     // The reply is a stream, whose status comes first.
     assert_eq!(lacking.reason(), "HISTORY_MISSING", "{}", lacking.text());

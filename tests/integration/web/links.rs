@@ -238,12 +238,12 @@ fn a_topology_is_geojson_at_a_time() {
 async fn a_browser_gets_a_grid_compressed_if_it_accepts_that() {
     let (_data, daemon) = daemon_with_a_grid().await;
     let time = Some(prost_types::Timestamp { seconds: NOON_SECS + 3_600, nanos: 0 });
-    let asked = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();
-    let plain = grpc_web(&daemon, "QueryService/PredictGrid", &[], &asked);
+    let request = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();
+    let plain = grpc_web(&daemon, "QueryService/PredictGrid", &[], &request);
     assert_eq!((plain.code, plain.headers.get("content-encoding")), (200, None));
     assert!(plain.text().contains("grpc-status:0"), "{}", plain.text());
 
-    let small = grpc_web(&daemon, "QueryService/PredictGrid", &[("accept-encoding", "gzip, br")], &asked);
+    let small = grpc_web(&daemon, "QueryService/PredictGrid", &[("accept-encoding", "gzip, br")], &request);
     assert_eq!(small.headers.get("content-encoding").map(String::as_str), Some("gzip"));
     let mut read = Vec::new();
     flate2::read::GzDecoder::new(small.body.as_slice()).read_to_end(&mut read).expect("gzip");

@@ -224,8 +224,8 @@ fn a_file_beyond_the_limit_is_refused_and_0_takes_none() {
     let daemon = at_most(bag.len() - 1);
     let path = "flat/recordings/door.bag";
     refused(&send(&daemon, path, &[], &bag), 413, "LIMIT", &["max_upload_bytes", "tidemap import"]);
-    let asked = format!("{path}?bytes={}", bag.len());
-    refused(&check(&daemon, &asked, &[]), 413, "LIMIT", &["max_upload_bytes"]);
+    let address = format!("{path}?bytes={}", bag.len());
+    refused(&check(&daemon, &address, &[]), 413, "LIMIT", &["max_upload_bytes"]);
     let huge = check(&daemon, &format!("{path}?bytes={}", u64::MAX), &[]);
     refused(&huge, 413, "LIMIT", &["max_upload_bytes"]);
     // Without an announced length, the file is counted as it comes.
