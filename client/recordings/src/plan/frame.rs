@@ -11,7 +11,7 @@ use crate::survey::{Surveyed, TopicSurvey};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameChoice {
     /// The user chose it.
-    Asked,
+    Requested,
     /// By its name: `map`, else `odom`.
     Usual,
     /// The frame is the root above the sensors.
@@ -34,17 +34,17 @@ const USUAL: [&str; 2] = ["map", "odom"];
 pub(super) fn choose(
     surveyed: &Surveyed,
     plans: &[TopicPlan],
-    asked: Option<&str>,
+    requested: Option<&str>,
 ) -> Result<(Option<String>, FrameChoice), PlanError> {
     let placed =
         || surveyed.topics.iter().zip(plans).filter(|(_, plan)| plan.grid.is_some() || !plan.positions.is_empty());
     let frames = &surveyed.frames;
-    if let Some(asked) = asked {
-        let asked = crate::frames::frame_name(asked);
-        if frames.knows(asked) || placed().any(|(topic, _)| topic.frame == asked) {
-            return Ok((Some(asked.to_owned()), FrameChoice::Asked));
+    if let Some(requested) = requested {
+        let requested = crate::frames::frame_name(requested);
+        if frames.knows(requested) || placed().any(|(topic, _)| topic.frame == requested) {
+            return Ok((Some(requested.to_owned()), FrameChoice::Requested));
         }
-        return Err(PlanError::NoFrame { frame: asked.to_owned(), frames: names(surveyed) });
+        return Err(PlanError::NoFrame { frame: requested.to_owned(), frames: names(surveyed) });
     }
     // Sensors move: the frame must be another one than their own frame. Sensors come first, because without a place no
     // observation is made of their messages.
