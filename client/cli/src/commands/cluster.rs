@@ -205,13 +205,13 @@ async fn move_map(session: &Session, credentials: &Credentials, args: MoveArgs) 
 
 /// A client of a member, by the address that it reports.
 async fn member_client(client: &Client, credentials: &Credentials, member: &str) -> anyhow::Result<Client> {
-    let asked = answer_of(client, false).await?;
-    let found = asked.members.iter().find(|known| known.name == member);
+    let status = answer_of(client, false).await?;
+    let found = status.members.iter().find(|known| known.name == member);
     let address = found.map(|known| known.address.clone()).with_context(|| {
-        let known: Vec<&str> = asked.members.iter().map(|known| known.name.as_str()).collect();
+        let known: Vec<&str> = status.members.iter().map(|known| known.name.as_str()).collect();
         format!("{member:?} is no member of the cluster; members: {}", known.join(", "))
     })?;
-    Ok(if asked.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
+    Ok(if status.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
 }
 
 async fn forget(session: &Session, args: ForgetArgs) -> anyhow::Result<ExitCode> {

@@ -102,13 +102,13 @@ pub(super) fn members(view: &ClusterView) -> Vec<Vec<Cell>> {
         ]);
         row
     };
-    view.asked.members.iter().map(row).collect()
+    view.first_reply.members.iter().map(row).collect()
 }
 
 /// A row for each map and member that holds it or is to hold it.
 pub(super) fn maps(view: &ClusterView) -> Vec<Vec<Cell>> {
     let mut rows = Vec::new();
-    for map in &view.asked.maps {
+    for map in &view.first_reply.maps {
         let replicas = view.replicas(&map.map);
         let mut members: Vec<&str> = map.candidates.iter().map(String::as_str).collect();
         for (name, _) in &replicas {

@@ -208,7 +208,7 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
     let mut last_check = Instant::now();
     let mut problem = None;
     loop {
-        let is_asked = tokio::select! {
+        let is_requested = tokio::select! {
             () = time_bar.changed.notified() => true,
             _ = ticks.tick() => false,
         };
@@ -219,7 +219,7 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
             last_check = Instant::now();
             (was_playing, ended, playback.at_nanos())
         };
-        if !is_asked && !was_playing {
+        if !is_requested && !was_playing {
             continue;
         }
         server.broadcast_time(unsigned(at_nanos));

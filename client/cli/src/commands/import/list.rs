@@ -66,7 +66,7 @@ pub(super) fn is_all_without_place(planned: &Planned) -> bool {
 pub(super) fn report(planned: &Planned) {
     let Planned { surveyed, plan, .. } = planned;
     let places = |choice: FrameChoice, frame: &str| match choice {
-        FrameChoice::Asked => format!("everything is placed in frame {frame:?}, as asked"),
+        FrameChoice::Requested => format!("everything is placed in frame {frame:?}, as asked"),
         FrameChoice::Usual => format!("everything is placed in frame {frame:?}; --frame names another"),
         FrameChoice::Root => format!("everything is placed in frame {frame:?}, the root above the sensors"),
         FrameChoice::OfMessages | FrameChoice::None => format!("the messages are in frame {frame:?}"),
