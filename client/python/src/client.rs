@@ -378,14 +378,14 @@ impl NativeClient {
         let count = times.len();
         let (client, room) = self.client(py)?;
         let map = map.to_owned();
-        let asked = async move {
+        let request = async move {
             let ask = || {
                 let predictions = client.predict(&map, states.clone(), times.clone(), model);
                 predicted_rows(predictions.with_intervals(interval.unwrap_or(0.0)), count)
             };
             room.ask(ask).await.map(|(rows, _)| rows)
         };
-        let predicted = wait(py, asked, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
+        let predicted = wait(py, request, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
         let rows = predicted.map_err(|name| {
             let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
@@ -432,9 +432,9 @@ impl NativeClient {
             is_projected: project,
             output,
         };
-        let ((client, room), asked) = (self.client(py)?, query.clone());
+        let ((client, room), request) = (self.client(py)?, query.clone());
         let answered = async move {
-            let ask = || async { client.predict_grid(&asked).await?.whole().await };
+            let ask = || async { client.predict_grid(&request).await?.whole().await };
             room.ask(ask).await.map(|(answer, _)| answer)
         };
         let answer = wait(py, answered, |_| Ok(()))?;
