@@ -168,9 +168,9 @@ impl AnomalyWatch {
 }
 
 /// Several producers may observe a state at the same time.
-fn found(reply: v1::FindAnomaliesResponse, asked: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
+fn found(reply: v1::FindAnomaliesResponse, requested: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
     let v1::FindAnomaliesResponse { times_nanos, values, probabilities, .. } = reply;
-    if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| asked.contains(time)) {
+    if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| requested.contains(time)) {
         return Err(Error::Protocol("anomalies are not those that were asked for"));
     }
     rows(times_nanos, values, probabilities)

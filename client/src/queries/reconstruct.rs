@@ -55,9 +55,9 @@ impl Reconstruction {
 }
 
 /// Several producers may observe a state at the same time.
-fn checked(reply: v1::ReconstructResponse, asked: std::ops::Range<i64>) -> Result<Vec<(i64, f64)>, Error> {
+fn checked(reply: v1::ReconstructResponse, requested: std::ops::Range<i64>) -> Result<Vec<(i64, f64)>, Error> {
     let v1::ReconstructResponse { times_nanos, values } = reply;
-    let ascending = times_nanos.is_sorted() && times_nanos.iter().all(|time| asked.contains(time));
+    let ascending = times_nanos.is_sorted() && times_nanos.iter().all(|time| requested.contains(time));
     if times_nanos.len() != values.len() || !ascending {
         return Err(Error::Protocol("observations are not those that were asked for"));
     }
