@@ -27,7 +27,7 @@ fn list(folder: &Path, below: &str, files: &mut Vec<(String, PathBuf)>) -> Resul
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    build_version::tell();
+    build_version::set_version_variables();
     let root = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join("../client/web/dist");
     println!("cargo::rerun-if-changed={}", root.display());
     let mut files = Vec::new();

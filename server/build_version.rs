@@ -6,8 +6,8 @@
 use std::{env, path::Path, process::Command};
 
 fn git(args: &[&str]) -> Option<String> {
-    let said = Command::new("git").args(args).output().ok().filter(|said| said.status.success())?;
-    Some(String::from_utf8(said.stdout).ok()?.trim().to_owned())
+    let output = Command::new("git").args(args).output().ok().filter(|output| output.status.success())?;
+    Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
 }
 
 /// The commit that is checked out, in an optimised build.
@@ -29,7 +29,7 @@ fn checked_out() -> Option<String> {
 
 /// Gives the code `TIDEMAP_VERSION`, as `0.1.0 (0123456789ab)`, and `TIDEMAP_BUILT_FROM`, which is empty if the commit
 /// is not known.
-pub(crate) fn tell() {
+pub(crate) fn set_version_variables() {
     println!("cargo::rerun-if-env-changed=TIDEMAP_COMMIT");
     let is_word = |word: &String| !word.is_empty() && word.bytes().all(|byte| byte.is_ascii_alphanumeric());
     let commit = env::var("TIDEMAP_COMMIT").ok().filter(is_word).or_else(checked_out).unwrap_or_default();

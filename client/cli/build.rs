@@ -6,5 +6,5 @@
 mod build_version;
 
 fn main() {
-    build_version::tell();
+    build_version::set_version_variables();
 }

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_that_the_message_names_is_not_said_twice() {
+    fn a_field_that_the_message_names_is_not_named_twice() {
         let details = ErrorDetails::with_bad_request_violation("name", "too long");
         let status = Status::with_error_details(Code::InvalidArgument, "name: too long", details);
         assert_eq!(Error::from_status("http://h:1", &status).to_string(), "name: too long");
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn an_alert_about_the_certificate_says_what_to_do() {
+    fn an_alert_about_the_certificate_contains_advice() {
         for (alert, words) in [("CertificateRequired", "--tls-cert"), ("CertificateExpired", "valid now")] {
             let cause = io::Error::other(format!("received fatal alert: {alert}"));
             let error = Error::from_status("https://h:1", &Status::from_error(Box::new(cause)));

@@ -144,7 +144,7 @@ mod tests {
     #[derive(Clone, Debug)]
     struct Shows {
         shown: Option<ReadToken>,
-        asked: Arc<Mutex<Vec<Option<ReadToken>>>>,
+        received: Arc<Mutex<Vec<Option<ReadToken>>>>,
     }
 
     impl Service<http::Request<Body>> for Shows {
@@ -157,8 +157,8 @@ mod tests {
         }
 
         fn call(&mut self, request: http::Request<Body>) -> Self::Future {
-            let asked = ReadToken::of(request.headers(), &AT_LEAST).expect("a token");
-            self.asked.lock().expect("not poisoned").push(asked);
+            let received = ReadToken::of(request.headers(), &AT_LEAST).expect("a token");
+            self.received.lock().expect("not poisoned").push(received);
             let mut reply = http::Response::new(Body::empty());
             if let Some(shown) = self.shown {
                 shown.put(reply.headers_mut(), SHOWN);
@@ -178,7 +178,7 @@ mod tests {
         let bytes = tonic::codegen::Bytes::from([&[0][..], &length.to_be_bytes(), message].concat());
         let request = http::Request::builder().uri(path).body(Body::new(Whole(Some(bytes)))).expect("a request");
         service.call(request).await.expect("a reply");
-        service.inner.asked.lock().expect("not poisoned").pop().expect("it was asked")
+        service.inner.received.lock().expect("not poisoned").pop().expect("it was asked")
     }
 
     struct Whole(Option<tonic::codegen::Bytes>);
@@ -198,7 +198,7 @@ mod tests {
     #[tokio::test]
     async fn requests_carry_the_most_that_was_seen_of_their_map() {
         let tokens = ReadTokens::default();
-        let mut service = TokenService::new(Shows { shown: None, asked: Arc::default() }, tokens.clone());
+        let mut service = TokenService::new(Shows { shown: None, received: Arc::default() }, tokens.clone());
         assert_eq!(ask(&mut service, None, "office").await, None);
         assert_eq!(ask(&mut service, Some(token(7, 2)), "office").await, None, "nothing is known before the reply");
         assert_eq!(ask(&mut service, Some(token(5, 3)), "office").await, Some(token(7, 2)));

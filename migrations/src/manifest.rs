@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_format_is_told_from_damage() {
+    fn a_newer_format_is_distinguished_from_damage() {
         let directory = tempfile::tempdir().expect("temporary directory");
         let body = "tidemap store\nformat 7\nsomething new\n";
         fs::write(directory.path().join(FILE_NAME), body.to_owned() + &checksum_line(body)).expect("writable");

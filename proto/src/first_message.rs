@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_that_say_little_or_nothing_are_not_kept_one_by_one() {
+    fn parts_of_one_byte_or_none_are_not_kept_one_by_one() {
         let message = [7; 1000];
         let bytes = [&[0, 0, 0, 3, 232][..], &message].concat();
         let parts = bytes.iter().flat_map(|byte| [Bytes::copy_from_slice(&[*byte]), Bytes::new()]).collect();

@@ -258,7 +258,7 @@ fn for_each_row(
         key: "train",
         format: protocol.format,
         kind: protocol.kind,
-        asked: &protocol.states,
+        requested: &protocol.states,
         wanted: protocol.states.iter().map(String::as_str).collect(),
         offsets: protocol.zone.offset_cache(),
     };
@@ -283,8 +283,8 @@ struct Reader<'a> {
     key: &'static str,
     format: RowFormat,
     kind: StateKind,
-    asked: &'a [String],
-    /// The states of `asked` as a set; empty: all states.
+    requested: &'a [String],
+    /// The states of `requested` as a set; empty: all states.
     wanted: HashSet<&'a str>,
     offsets: OffsetCache,
 }
@@ -306,7 +306,7 @@ impl Reader<'_> {
             RowFormat::Pairs => self.read_pairs(path, &mut count)?,
         }
         if rows == 0 {
-            return Err(DataError::Empty { path: path.to_owned(), states: self.asked.to_vec() });
+            return Err(DataError::Empty { path: path.to_owned(), states: self.requested.to_vec() });
         }
         Ok(())
     }
@@ -352,7 +352,7 @@ impl Reader<'_> {
         path: &Path,
         take: &mut impl FnMut(&str, Sample) -> Result<(), DataError>,
     ) -> Result<(), DataError> {
-        let state = self.asked.first().map_or(UNNAMED, String::as_str);
+        let state = self.requested.first().map_or(UNNAMED, String::as_str);
         for (number, line) in (1..).zip(self.open(path)?.lines()) {
             let line = line.map_err(|why| DataError::Io { key: self.key, path: path.to_owned(), why })?;
             if !line.trim().is_empty() {

@@ -23,7 +23,7 @@ const SCHEDULED: &str = "auto-";
 /// The name of a scheduled backup that is being made, or was cut off.
 const UNFINISHED: &str = "auto.part";
 /// The longest wait before the clock is read again, because it may have been set meanwhile.
-const LOOK_EVERY: Duration = Duration::from_secs(60);
+const CHECK_INTERVAL: Duration = Duration::from_secs(60);
 /// The longest pause after a backup that failed.
 const AGAIN_AFTER: Duration = Duration::from_secs(3600);
 const NANOS_PER_SEC: i64 = 1_000_000_000;
@@ -152,7 +152,7 @@ impl Schedule {
             let newest = crate::task::blocking(move || schedule.newest_nanos(&id, now)).await;
             let Ok(newest) = newest else { return };
             let due = newest.map_or(i64::MIN, |began| began.saturating_add(every_nanos)).max(not_before);
-            let wait = Duration::from_nanos(u64::try_from(due.saturating_sub(now)).unwrap_or(0)).min(LOOK_EVERY);
+            let wait = Duration::from_nanos(u64::try_from(due.saturating_sub(now)).unwrap_or(0)).min(CHECK_INTERVAL);
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
                 // An error means that the sender is gone, which is also a stop.
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn names_tell_when_a_backup_began() {
+    fn a_name_contains_the_time_at_which_the_backup_began() {
         let began = 1_794_000_000_123_456_789;
         let name = name_of(began);
         assert_eq!(name, "auto-2026-11-06T21-20-00Z");

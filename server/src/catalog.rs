@@ -209,11 +209,11 @@ impl Catalog {
     /// The errors of [`Self::open`]; [`CatalogError::Stopping`].
     pub(crate) fn restore_rest(&self, rest: Vec<UnopenedMap>) -> Result<(), CatalogError> {
         for UnopenedMap { id, shared_uid, spec, endpoints } in rest {
-            let tell = |done, total| {
+            let report = |done, total| {
                 endpoints.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.is_stopping.load(Ordering::Relaxed)
             };
-            let restored = restore_map(&self.context, id, &spec, &tell)
+            let restored = restore_map(&self.context, id, &spec, &report)
                 .and_then(|restored| share(&self.context, (id, shared_uid), &endpoints, restored));
             match restored {
                 Ok(restored) => start_in(endpoints, self.context.clone(), id, restored)?,

@@ -458,10 +458,10 @@ impl Peers for Cluster {
         replica.log.status().borrow().writer.clone()
     }
 
-    fn heard(&self, map: &MapName) -> Option<std::time::Instant> {
+    fn last_contact(&self, map: &MapName) -> Option<std::time::Instant> {
         let replicas = self.replicas();
         let replica = replicas.values().find(|replica| replica.name == *map)?;
-        replica.log.status().borrow().heard.map(tokio::time::Instant::into_std)
+        replica.log.status().borrow().last_contact.map(tokio::time::Instant::into_std)
     }
 
     fn max_staleness(&self) -> Duration {

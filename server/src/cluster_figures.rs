@@ -28,7 +28,8 @@ struct MapFigures {
 /// The figures of the maps that this daemon holds.
 fn of_maps(MapFigures { others, held }: &MapFigures, now: Instant) -> [Figure; 6] {
     let lag = held.iter().map(|status| status.shared_position.saturating_sub(status.position)).max();
-    let age = |status: &ReplicaStatus| status.heard.map_or(Duration::MAX, |heard| now.saturating_duration_since(heard));
+    let age =
+        |status: &ReplicaStatus| status.last_contact.map_or(Duration::MAX, |time| now.saturating_duration_since(time));
     let age = match held.iter().map(age).max() {
         None => 0.0,
         Some(Duration::MAX) => f64::INFINITY,
@@ -95,13 +96,13 @@ mod tests {
     }
 
     #[test]
-    fn the_replica_that_is_furthest_behind_is_told_and_one_that_never_heard_is_infinitely_old() {
+    fn the_replica_that_is_furthest_behind_is_reported_and_one_without_contact_is_infinitely_old() {
         let now = Instant::now();
-        let status = |role, position, heard| ReplicaStatus {
+        let status = |role, position, last_contact| ReplicaStatus {
             role,
             position,
             shared_position: 10,
-            heard,
+            last_contact,
             ..ReplicaStatus::default()
         };
         let old = now.checked_sub(Duration::from_secs(7));
@@ -121,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn members_that_are_gone_and_an_engine_that_is_silent_are_told() {
+    fn members_that_are_gone_and_an_engine_that_is_silent_are_reported() {
         let member = |is_alive| Member { report: MemberReport::default(), is_alive, unchanged_for: Duration::ZERO };
         let mut view = MembersView { trouble: None, ..MembersView::default() };
         view.members.insert("east".to_owned(), member(true));

@@ -553,8 +553,8 @@ mod tests {
                 {
                     let error = load(&format!("{line}{rest}"), Flags::default()).expect_err("refused");
                     assert!(error.contains(missing) && error.contains(port), "{error}");
-                    let said = format!("{line}{rest}allow_insecure_remote = true");
-                    assert!(load(&said, Flags::default()).is_ok());
+                    let allowed = format!("{line}{rest}allow_insecure_remote = true");
+                    assert!(load(&allowed, Flags::default()).is_ok());
                 }
                 assert!(load(&format!("{line}{tls}{tokens}"), Flags::default()).is_ok());
             }

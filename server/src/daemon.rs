@@ -127,7 +127,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let (stop_sender, stopping) = watch::channel(false);
     let served = Served { settings: &settings, catalog: &catalog, metrics, stopping, fatal: fatal_sender };
     let mut ports = Ports::serve(served, protection).await?;
-    tell_ready(&settings, &store, &ports);
+    report_ready(&settings, &store, &ports);
 
     let keeping = match (cluster.clone(), ports::shared_maps(&settings, &catalog)?) {
         (Some(cluster), Some(shared)) => {
@@ -186,7 +186,7 @@ async fn join_cluster(
 }
 
 /// Reports that requests are served.
-fn tell_ready(settings: &Settings, store: &Store, ports: &Ports) {
+fn report_ready(settings: &Settings, store: &Store, ports: &Ports) {
     let Ports { grpc_address, http_address, .. } = ports;
     println!("listening grpc={grpc_address} http={http_address}");
     // A closed stdout is no reason to stop.

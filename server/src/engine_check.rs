@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_outcome_says_what_is_wrong() {
+    fn the_outcome_names_what_is_wrong() {
         let sound = RaceOutcome { acknowledged: 9, refused: 3, ..RaceOutcome::default() };
         assert!(outcome_line(&sound, 10).ends_with("no position was taken twice"));
         let broken = RaceOutcome { twice: 2, missing: 1, ..sound };

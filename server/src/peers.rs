@@ -33,7 +33,7 @@ pub(crate) trait Peers: Send + Sync + fmt::Debug {
     fn writer_of_held(&self, map: &MapName) -> Option<String>;
 
     /// The time at which this daemon last received the end of a map's log.
-    fn heard(&self, map: &MapName) -> Option<Instant>;
+    fn last_contact(&self, map: &MapName) -> Option<Instant>;
 
     /// Time without the end of its log after which a map is not shown.
     fn max_staleness(&self) -> Duration;

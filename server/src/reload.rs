@@ -1,8 +1,8 @@
 //! Files that are read again when they change: certificates and tokens.
 //!
-//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. Files that cannot be used are not put
-//! into use. If this remains, it is logged and counted once. The earlier content stays in use, and the new files are
-//! tried again every [`AGAIN_AFTER`], because they may become valid without a change.
+//! Invariant: a change is noticed within [`CHECK_INTERVAL`], or at once after SIGHUP. Files that cannot be used are not
+//! put into use. If this remains, it is logged and counted once. The earlier content stays in use, and the new files
+//! are tried again every [`AGAIN_AFTER`], because they may become valid without a change.
 
 use std::{
     fs,
@@ -15,7 +15,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing::{error, info, warn};
 
 /// Interval at which files are checked.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Time within which files that belong together are replaced one after the other; meanwhile they may not fit together.
 const REPLACED_WITHIN: Duration = Duration::from_secs(3);
 /// Time after which files that could not be used are tried again.
@@ -38,13 +38,13 @@ fn stamps(paths: &[PathBuf]) -> Vec<Stamp> {
 struct Failure {
     reason: String,
     tried: Instant,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Failure {
     /// Whether it is time to try the files again.
     fn is_due(&self) -> bool {
-        self.tried.elapsed() >= if self.is_told { AGAIN_AFTER } else { REPLACED_WITHIN }
+        self.tried.elapsed() >= if self.is_reported { AGAIN_AFTER } else { REPLACED_WITHIN }
     }
 }
 
@@ -73,18 +73,18 @@ impl FileWatch {
                 None
             }
         };
-        let mut pause = tokio::time::interval(LOOK_EVERY);
+        let mut pause = tokio::time::interval(CHECK_INTERVAL);
         let mut failed: Option<Failure> = None;
         pause.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
-            let is_asked = tokio::select! {
+            let is_requested = tokio::select! {
                 _ = pause.tick() => false,
                 received = async { match &mut hangup { Some(hangup) => hangup.recv().await, None => None } },
                     if hangup.is_some() => received.is_some(),
             };
             let now = stamps(&self.paths);
             let is_changed = now != self.stamps;
-            if !is_changed && !is_asked && failed.as_ref().is_none_or(|failure| !failure.is_due()) {
+            if !is_changed && !is_requested && failed.as_ref().is_none_or(|failure| !failure.is_due()) {
                 continue;
             }
             self.stamps = now;
@@ -96,15 +96,15 @@ impl FileWatch {
                 }
                 Err(error) => {
                     let reason = error.to_string();
-                    let before = failed.take().filter(|before| before.is_told && before.reason == reason);
-                    let is_settled = is_asked || !is_changed;
-                    if is_asked || (is_settled && before.is_none()) {
+                    let before = failed.take().filter(|before| before.is_reported && before.reason == reason);
+                    let is_settled = is_requested || !is_changed;
+                    if is_requested || (is_settled && before.is_none()) {
                         metrics::counter!("tidemap_reload_failures_total", "what" => what).increment(1);
                         error!(
                             "the {what} changed, and the new ones cannot be used; those before stay in use: {reason}"
                         );
                     }
-                    failed = Some(Failure { reason, tried: Instant::now(), is_told: is_settled });
+                    failed = Some(Failure { reason, tried: Instant::now(), is_reported: is_settled });
                 }
             }
         }

@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// A producer that has sent nothing for longer has left, and is not reported.
-const HEARD_WITHIN_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+const CONTACT_WITHIN_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
 /// Time limit for the writers of all maps together to reply.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
@@ -27,7 +27,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 #[derive(Debug, Default)]
 struct OfMap {
     /// The last time at which each producer sent data, over all its labels, in nanoseconds since 1970.
-    heard: BTreeMap<String, i64>,
+    last_contacts: BTreeMap<String, i64>,
     /// The reply to the last request, if it has not come yet.
     pending: Option<oneshot::Receiver<Vec<KnownProducer>>>,
 }
@@ -47,15 +47,15 @@ fn escaped(text: &str) -> String {
 }
 
 /// The series of the producers that are silent for longest: map, producer, and its last time.
-fn series(mut heard: Vec<(String, String, i64)>, now_nanos: i64, max: usize) -> String {
-    heard.retain(|(_, _, at)| *at >= now_nanos.saturating_sub(HEARD_WITHIN_NANOS));
-    heard.sort_by(|a, b| (a.2, &a.0, &a.1).cmp(&(b.2, &b.0, &b.1)));
-    heard.truncate(max);
-    if heard.is_empty() {
+fn series(mut contacts: Vec<(String, String, i64)>, now_nanos: i64, max: usize) -> String {
+    contacts.retain(|(_, _, at)| *at >= now_nanos.saturating_sub(CONTACT_WITHIN_NANOS));
+    contacts.sort_by(|a, b| (a.2, &a.0, &a.1).cmp(&(b.2, &b.0, &b.1)));
+    contacts.truncate(max);
+    if contacts.is_empty() {
         return String::new();
     }
     let mut text = format!("# HELP {PRODUCER_SILENT} {}\n# TYPE {PRODUCER_SILENT} gauge\n", meaning(PRODUCER_SILENT));
-    for (map, producer, at) in heard {
+    for (map, producer, at) in contacts {
         let secs = now_nanos.saturating_sub(at).max(0) as f64 / 1e9;
         let (map, producer) = (escaped(&map), escaped(&producer));
         // Writing to a text cannot fail.
@@ -91,19 +91,19 @@ impl SilentProducers {
             let Ok(answer) = tokio::time::timeout_at(deadline, answer).await else { continue };
             of_map.pending = None;
             let Ok(known) = answer else { continue };
-            of_map.heard.clear();
+            of_map.last_contacts.clear();
             for mark in known.into_iter().map(|known| known.mark).filter(|mark| !mark.is_forgotten) {
                 let at = mark.received_nanos;
-                let heard = of_map.heard.entry(mark.key.producer().to_owned()).or_insert(at);
-                *heard = at.max(*heard);
+                let last = of_map.last_contacts.entry(mark.key.producer().to_owned()).or_insert(at);
+                *last = at.max(*last);
             }
         }
-        let mut heard = Vec::new();
+        let mut contacts = Vec::new();
         for handle in open.values() {
-            let of_map = maps.get(&handle.id).into_iter().flat_map(|of_map| &of_map.heard);
-            heard.extend(of_map.map(|(producer, at)| (handle.spec.name.as_str().to_owned(), producer.clone(), *at)));
+            let of_map = maps.get(&handle.id).into_iter().flat_map(|of_map| &of_map.last_contacts);
+            contacts.extend(of_map.map(|(producer, at)| (handle.spec.name.as_str().to_owned(), producer.clone(), *at)));
         }
-        series(heard, catalog.context().clock.now_nanos(), self.max)
+        series(contacts, catalog.context().clock.now_nanos(), self.max)
     }
 }
 
@@ -114,10 +114,10 @@ mod tests {
     const HOUR: i64 = 3600 * 1_000_000_000;
 
     #[test]
-    fn the_most_silent_of_those_heard_lately_are_told() {
+    fn the_most_silent_of_the_recent_producers_are_listed() {
         let now = 1_000 * HOUR;
-        let heard = |producer: &str, hours: i64| ("lab".to_owned(), producer.to_owned(), now - hours * HOUR);
-        let all = vec![heard("left", 169), heard("robot-1", 0), heard("robot-2", 30), heard("a\"\\b", 2)];
+        let contact = |producer: &str, hours: i64| ("lab".to_owned(), producer.to_owned(), now - hours * HOUR);
+        let all = vec![contact("left", 169), contact("robot-1", 0), contact("robot-2", 30), contact("a\"\\b", 2)];
         let text = series(all.clone(), now, 2);
         let lines: Vec<&str> = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).collect();
         assert_eq!(
@@ -128,6 +128,6 @@ mod tests {
             ]
         );
         assert!(series(all, now, 10).contains("robot-1\"} 0\n"));
-        assert_eq!(series(vec![heard("left", 200)], now, 10), "");
+        assert_eq!(series(vec![contact("left", 200)], now, 10), "");
     }
 }

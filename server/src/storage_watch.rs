@@ -37,7 +37,7 @@ pub(crate) async fn run(
         let Some(catalog) = catalog.upgrade() else { return };
         let (is_ready, _) = readiness(&catalog, *stopping.borrow());
         if was_ready != Some(is_ready) {
-            health.tell(is_ready).await;
+            health.set_ready(is_ready).await;
             was_ready = Some(is_ready);
         }
         let store = Arc::clone(&catalog.context().store);

@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn work_has_a_result_or_says_that_it_has_none() {
+    async fn work_has_a_result_or_reports_that_it_has_none() {
         assert_eq!(blocking(|| 7).await.expect("a result"), 7);
         assert_eq!(spawn(async { "done" }).await.expect("a result"), "done");
         assert!(blocking(|| -> u8 { panic!("a defect") }).await.is_err());

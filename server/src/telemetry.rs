@@ -51,7 +51,7 @@ pub(crate) fn check_log_level(level: &str) -> anyhow::Result<()> {
 pub(crate) const VERSION: &str = env!("TIDEMAP_VERSION");
 
 /// Reports the running program and its data, as a metric.
-pub(crate) fn tell_build(store_id: &str) {
+pub(crate) fn report_build(store_id: &str) {
     let (version, commit) = (env!("CARGO_PKG_VERSION"), env!("TIDEMAP_BUILT_FROM"));
     metrics::gauge!("tidemap_build_info", "version" => version, "commit" => commit, "store_id" => store_id.to_owned())
         .set(1.0);

@@ -67,14 +67,14 @@ async fn every_series_of_a_rule_is_there_before_the_first_event() {
         let of_name = metrics.lines().filter_map(|line| line.strip_prefix(name));
         of_name.filter(|rest| rest.starts_with(['{', ' '])).any(|rest| labels.iter().all(|label| rest.contains(label)))
     };
-    let mut looked_at = 0;
+    let mut examined = 0;
     for (alert, expression) in rules() {
         for (name, labels) in selected(&expression).into_iter().filter(|(name, _)| name != SILENT) {
             assert!(is_there(&name, &labels), "{alert} looks at {name}{labels:?}, which is not in:\n{metrics}");
-            looked_at += 1;
+            examined += 1;
         }
     }
-    assert!(looked_at > 25, "{looked_at}");
+    assert!(examined > 25, "{examined}");
     let zero = ["tidemap_update_failures_total 0", "tidemap_reload_failures_total{what=\"tokens\"} 0"];
     for line in zero {
         assert!(metrics.contains(&format!("\n{line}\n")), "{line} in:\n{metrics}");
@@ -193,8 +193,8 @@ fn every_rule_rings_for_the_first_event_of_its_kind() {
         Ok(run) => run,
         Err(error) => return println!("SKIPPED: promtool: {error}"),
     };
-    let said = [run.stdout, run.stderr].concat();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&said));
+    let output = [run.stdout, run.stderr].concat();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&output));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -188,7 +188,7 @@ async fn scheduled_backups_share_what_is_equal_old_ones_go_and_any_can_be_restor
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_scheduled_backup_that_fails_is_told_and_the_daemon_serves() {
+async fn a_scheduled_backup_that_fails_is_reported_and_the_daemon_serves() {
     let work = tempdir().expect("a folder");
     let tokens = Tokens::of(work.path());
     let (all, of_one) = (tokens.create(&["admin"], &[]), tokens.create(&["operator"], &["office"]));

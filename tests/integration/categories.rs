@@ -203,20 +203,20 @@ fn a_classification_is_learned_once_and_survives_a_kill() {
     let daemon = launch.start();
     learned(&daemon);
     let likelihood = "--likelihood sleep=0.3,eat=0.3,work=0.4";
-    let asked = |hour: i64| format!("classify home activity --at {} {likelihood}", after(hour));
-    assert_eq!(likeliest(&tidemap(&daemon, &asked(3)).table()), "sleep", "the time decides");
-    assert_eq!(likeliest(&tidemap(&daemon, &asked(12)).table()), "eat");
+    let classify = |hour: i64| format!("classify home activity --at {} {likelihood}", after(hour));
+    assert_eq!(likeliest(&tidemap(&daemon, &classify(3)).table()), "sleep", "the time decides");
+    assert_eq!(likeliest(&tidemap(&daemon, &classify(12)).table()), "eat");
     let certain = format!("classify home activity --at {} --likelihood work=1", after(3));
     let certain = tidemap(&daemon, &certain).table();
     assert_eq!(certain.numbers("probability"), [0.0, 0.0, 1.0], "what has no likelihood does not hold");
     for _ in 0..3 {
-        let learn = format!("{} --place kitchen --learn --producer robot --sequence 1", asked(12));
+        let learn = format!("{} --place kitchen --learn --producer robot --sequence 1", classify(12));
         let outcome = tidemap(&daemon, &learn);
         assert!(outcome.stderr.contains("durable up to number 2 of producer robot"), "{}", outcome.stderr);
         assert_eq!(likeliest(&outcome.table()), "eat");
     }
     for hour in [3, 4] {
-        let learn = format!("{} --place bedroom --learn shares --producer robot", asked(hour));
+        let learn = format!("{} --place bedroom --learn shares --producer robot", classify(hour));
         tidemap(&daemon, &learn).table();
     }
     daemon.kill();
@@ -270,8 +270,13 @@ fn a_port_for_reading_classifies_and_learns_nothing() {
         })
     };
     let method = "ObservationService/ClassifyActivity";
-    let asked = call(&daemon.http, method, &[], &request("ACTIVITY_LEARNING_NOTHING"));
-    assert_eq!((asked.code, asked.json()["labels"][1]["probability"].clone()), (200, json!(1.0)), "{}", asked.text());
+    let answer = call(&daemon.http, method, &[], &request("ACTIVITY_LEARNING_NOTHING"));
+    assert_eq!(
+        (answer.code, answer.json()["labels"][1]["probability"].clone()),
+        (200, json!(1.0)),
+        "{}",
+        answer.text()
+    );
     let learn = call(&daemon.http, method, &[], &request("ACTIVITY_LEARNING_LABEL"));
     assert_eq!((learn.code, learn.reason().as_str()), (403, "READ_ONLY"), "{}", learn.text());
 }

@@ -166,7 +166,7 @@ fn how_a_state_is_reported_never_changes() {
 }
 
 #[test]
-fn events_are_counted_and_changes_sent_as_readings_are_told() {
+fn events_are_counted_and_a_warning_names_changes_sent_as_readings() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     map(&daemon, "home");

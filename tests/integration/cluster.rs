@@ -264,7 +264,7 @@ async fn members_with_tls_know_each_other_by_the_files_of_now() {
 }
 
 #[test]
-fn a_daemon_that_is_alone_says_so() {
+fn a_daemon_that_is_alone_reports_it() {
     let work = tempdir().expect("a folder");
     let daemon = Launch::on(work.path()).start();
     for line in ["cluster status", "cluster maps", "cluster verify office", "cluster drain north"] {

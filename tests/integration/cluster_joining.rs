@@ -54,11 +54,11 @@ fn learn(members: &Members, folder: &Path, days: std::ops::Range<i64>) {
 /// Whether so many members have equal logs and, where `learned`, have learned the same.
 fn are_equal(outcome: &Outcome, members: usize, learned: bool) -> bool {
     let equal = format!("of {members} members");
-    let says = |word: &str| {
+    let is_printed = |word: &str| {
         let mut lines = outcome.stderr.lines();
         lines.any(|line| line.starts_with(word) && line.contains(&equal) && line.ends_with(": equal"))
     };
-    outcome.code == Some(0) && says("logs") && (!learned || says("generation"))
+    outcome.code == Some(0) && is_printed("logs") && (!learned || is_printed("generation"))
 }
 
 /// Waits until the engine keeps little of the log of the map.

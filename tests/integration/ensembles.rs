@@ -34,7 +34,7 @@ fn predict(daemon: &Daemon, map: &str, state: &str, secs: &[i64]) -> Table {
 }
 
 #[test]
-fn hours_that_nobody_looked_at_stay_unknown_also_after_a_restart() {
+fn hours_that_nobody_observed_stay_unknown_also_after_a_restart() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC"]).table();
@@ -87,10 +87,11 @@ fn a_map_without_ensembles_answers_by_what_was_chosen() {
     tidemap(&daemon, ["state", "add", "plain", "heat", "--kind", "continuous"]).table();
     learn(&daemon, "plain", &rows("door", (0..48).map(|hour| (hour * HOUR_SECS, hour % 24 > 8))));
     let at = (START_SECS + 3 * DAY_SECS).to_string();
-    let asked = |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
+    let predicted =
+        |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
     // The reply names another model.
     for state in ["door", "heat"] {
-        assert_ne!(asked(state).table().column("model"), ["ensemble"]);
+        assert_ne!(predicted(state).table().column("model"), ["ensemble"]);
     }
 }
 
@@ -112,9 +113,9 @@ fn a_temperature_is_known_less_well_far_ahead_also_after_a_restart() {
     learn(&daemon, "home", &readings);
     let ask = |daemon: &Daemon| {
         let secs: Vec<i64> = [60, 69, 100].iter().map(|day| day * DAY_SECS + 3 * HOUR_SECS).collect();
-        let said = predict(daemon, "home", "heat", &secs);
-        assert_eq!(said.column("model"), ["ensemble"; 3]);
-        (said.numbers("probability"), said.numbers("lower"), said.numbers("upper"))
+        let answer = predict(daemon, "home", "heat", &secs);
+        assert_eq!(answer.column("model"), ["ensemble"; 3]);
+        (answer.numbers("probability"), answer.numbers("lower"), answer.numbers("upper"))
     };
     let before = ask(&daemon);
     let (value, lower, upper) = &before;

@@ -63,7 +63,7 @@ fn observe(daemon: &Daemon, label: &str, text: &str) -> Outcome {
 }
 
 /// A map with what was learned of three weeks, and a day that is pending.
-fn tell(daemon: &Daemon, create: &[&str], with_people: bool) {
+fn send_weeks(daemon: &Daemon, create: &[&str], with_people: bool) {
     tidemap(daemon, ["map", "create", "home"].iter().chain(create)).table();
     for days in [0..DAYS - 1, DAYS - 1..DAYS] {
         // The people are added before the door, so that its id changes.
@@ -132,9 +132,9 @@ async fn as_if_never_observed(create: &[&str]) {
     let [data, other, saved] = [(); 3].map(|()| tempdir().expect("a folder"));
     let launch = Launch::on(data.path());
     let daemon = launch.start();
-    tell(&daemon, create, true);
+    send_weeks(&daemon, create, true);
     let never = Launch::on(other.path()).start();
-    tell(&never, create, false);
+    send_weeks(&never, create, false);
     // A model that is kept under the door's id of before.
     of_door(&daemon).await;
     for mark in marks() {
@@ -204,7 +204,7 @@ async fn a_kill_during_an_erasure_leaves_it_complete_or_not_begun() {
     let data = tempdir().expect("a folder");
     let launch = Launch::on(data.path());
     let mut daemon = launch.start();
-    tell(&daemon, &[], true);
+    send_weeks(&daemon, &[], true);
     let before = of_door(&daemon).await.0;
     let mut completed = 0;
     for round in 0..40 {
@@ -240,7 +240,7 @@ async fn a_kill_during_an_erasure_leaves_it_complete_or_not_begun() {
 async fn what_cannot_be_erased_is_refused_in_words() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
-    tell(&daemon, &["--grid", "resolution=0.1"], true);
+    send_weeks(&daemon, &["--grid", "resolution=0.1"], true);
     for (state, words) in [
         ("nobody", vec!["nobody", "door"]),
         ("anna-77113/x", vec!["anna-77113", "axes"]),

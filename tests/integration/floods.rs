@@ -57,12 +57,12 @@ async fn work(admin: &Client, flood: &Flood, what: &str) {
     let (began, mut times) = (Instant::now(), Vec::new());
     let lasts = Duration::from_secs(u64::from(rounds::count("TIDEMAP_FLOOD_SECS", 2)));
     while began.elapsed() < lasts {
-        let asked = Instant::now();
+        let begun = Instant::now();
         admin.maps().await.unwrap_or_else(|error| panic!("{what}: {error}"));
         let mut runs = admin.predict("office", vec!["door".to_owned()], vec![1, 2], ModelSelector::default());
         let run = runs.next().await.unwrap_or_else(|error| panic!("{what}: {error}"));
         assert_eq!(run.expect("a run").probabilities.len(), 2);
-        times.push(asked.elapsed());
+        times.push(begun.elapsed());
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     times.sort_unstable();

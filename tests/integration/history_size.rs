@@ -11,7 +11,7 @@ const START_SECS: i64 = 1_740_960_000;
 const SECONDS: i64 = 2 * 86_400;
 
 #[test]
-fn stats_say_how_many_bits_of_history_a_reading_takes() {
+fn stats_show_how_many_bits_of_history_a_reading_takes() {
     let data = tempfile::tempdir().expect("a folder");
     let launch = Launch::on(data.path());
     let daemon = launch.start();

@@ -161,7 +161,7 @@ fn scans_without_a_place_are_counted_and_named() {
 }
 
 #[test]
-fn one_scan_in_each_period_is_taken_if_that_is_asked_for() {
+fn one_scan_in_each_period_is_taken_if_that_is_requested() {
     let (folder, daemon) = started();
     let file = written(&folder, "drive.bag", &drive(30), usize::MAX);
     let thinned = words(&daemon, &format!("import room {} --producer robot-1 --period 10s", file.display()));
@@ -170,7 +170,7 @@ fn one_scan_in_each_period_is_taken_if_that_is_asked_for() {
 }
 
 #[test]
-fn what_cannot_be_imported_is_said_and_what_to_do() {
+fn what_cannot_be_imported_is_an_error_with_advice() {
     let (folder, daemon) = started();
     let file = |name: &str, bytes: &[u8]| {
         let path = folder.path().join(name);
@@ -187,7 +187,7 @@ fn what_cannot_be_imported_is_said_and_what_to_do() {
     let mut nothing = Bag::default();
     nothing.text("/rosout", START_NANOS, "nothing");
     let nothing = written(&folder, "nothing.bag", &nothing, usize::MAX).display().to_string();
-    for (line, code, said) in [
+    for (line, code, parts) in [
         (format!("import home {old}"), 1, &["old.bag", "ROSRECORD V1.2", "rosbag fix"][..]),
         (format!("import home {table}"), 1, &["rows.csv", "tidemap observe"]),
         (format!("import home {}", folder.path().join("none.mcap").display()), 1, &["none.mcap"]),
@@ -198,7 +198,7 @@ fn what_cannot_be_imported_is_said_and_what_to_do() {
         (format!("import home {door} --frame map"), 2, &["no frame \"map\""]),
         (format!("import home {nothing}"), 1, &["/rosout: nothing is made of std_msgs/String", "--mapping"]),
     ] {
-        words(&daemon, &line).fails(code, said);
+        words(&daemon, &line).fails(code, parts);
     }
     words(&daemon, "map show home").fails(1, &["home"]);
 }

@@ -352,7 +352,7 @@ fn check_errors(checked: &mut Checked, folder: &str) {
 }
 
 #[test]
-fn every_command_prints_what_its_schema_says() {
+fn every_command_prints_what_is_in_its_schema() {
     let work = tempdir().expect("a folder");
     let folder = &work.path().display().to_string();
     write_files(work.path());

@@ -67,7 +67,7 @@ fn answers(daemon: &Daemon, state: &str, at: &str) -> Vec<String> {
 }
 
 #[test]
-fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
+fn speeds_of_a_robot_are_learned_and_predicted_as_well_as_by_the_reference() {
     let Some(folder) = recordings::folder("velocity") else { return };
     let rows = |name: &str| {
         let text = fs::read_to_string(folder.join(name)).expect("a recording");

@@ -90,7 +90,7 @@ fn counts(daemon: &Daemon) -> Vec<(String, u64)> {
 }
 
 #[test]
-fn sightings_are_learned_exactly_once_and_tell_what_is_visible_when() {
+fn sightings_are_learned_exactly_once_and_show_what_is_visible_when() {
     let (_data, launch, daemon) = started();
     let (good, rows) = (sightings(), (DAYS * 48) as u64);
     let text = BAD.iter().fold(good.clone(), |text, (row, _)| text + row + "\n");
@@ -172,7 +172,7 @@ fn a_robot_is_found_by_what_is_visible_at_that_time() {
 }
 
 #[test]
-fn a_wrong_file_of_landmarks_adds_nothing_and_says_why() {
+fn a_wrong_file_of_landmarks_adds_nothing_and_gives_the_reason() {
     let (_data, _launch, daemon) = started();
     for (rows, words) in [
         ("attic,a,1,2,00,", "8"),

@@ -119,7 +119,7 @@ fn rows_of_an_erased_state_are_sent_anew_by_the_advised_command() {
 }
 
 #[test]
-fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
+fn rows_that_do_not_mean_what_their_sender_thinks_give_a_warning() {
     let home = Home::new();
     let (mut words, mut events) = ("time,state,value\n".to_owned(), "time,state,value\n".to_owned());
     for row in 0..30 {
@@ -150,7 +150,7 @@ fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
 }
 
 #[test]
-fn the_night_in_which_an_hour_comes_twice_is_told() {
+fn the_night_in_which_an_hour_comes_twice_is_reported() {
     let home = Home::new();
     // 2025-10-26T00:00:00Z is 02:00 in Berlin for the first time.
     let first = 1_761_436_800;
@@ -158,10 +158,10 @@ fn the_night_in_which_an_hour_comes_twice_is_told() {
     home.observe(&home.file("night.csv", &format!("time,state,value\n{rows}")), &[]).table();
     home.run(&["update", "home"]).table();
     let predict = |more: &[&str]| home.run(&[&["predict", "home", "door"], more].concat());
-    let asked = predict(&["--at", "2025-10-26T02:30", "--local"]);
-    assert_eq!(asked.table().column("time"), [(first + 1_800).to_string()]);
-    assert!(asked.stderr.contains("comes twice in Europe/Berlin"), "{}", asked.stderr);
-    assert!(asked.stderr.contains("The second is 2025-10-26T02:30+01:00"), "{}", asked.stderr);
+    let predicted = predict(&["--at", "2025-10-26T02:30", "--local"]);
+    assert_eq!(predicted.table().column("time"), [(first + 1_800).to_string()]);
+    assert!(predicted.stderr.contains("comes twice in Europe/Berlin"), "{}", predicted.stderr);
+    assert!(predicted.stderr.contains("The second is 2025-10-26T02:30+01:00"), "{}", predicted.stderr);
     let second = predict(&["--at", "2025-10-26T02:30+01:00"]);
     assert_eq!(second.table().column("time"), [(first + 5_400).to_string()]);
     let table = predict(&["--date", "2025-10-26", "--output", "table"]);

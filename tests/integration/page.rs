@@ -45,9 +45,9 @@ fn the_page_shows_an_office_in_a_browser() {
         .args([Path::new("e2e/page.mjs"), &tidemapd(), &tidemap(), &kept])
         .output()
         .expect("node runs");
-    let (said, problem) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{said}{problem}");
-    assert_eq!(said.matches("ok  ").count(), CHECKS, "{said}");
+    let (printed, problem) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{printed}{problem}");
+    assert_eq!(printed.matches("ok  ").count(), CHECKS, "{printed}");
 }
 
 /// Number of checks that the script makes.

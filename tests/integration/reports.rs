@@ -118,7 +118,7 @@ async fn mistakes_name_the_reading() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_list_of_producers_tells_who_was_heard_and_when() {
+async fn the_list_of_producers_contains_who_sent_and_when() {
     let data = tempdir().expect("a folder");
     let running = daemon(data.path()).await;
     let list = |daemon: &Daemon| tidemap_tests::cli::tidemap(daemon, ["producer", "list", "home"]).table();

@@ -40,10 +40,10 @@ fn new_habits_are_scored_beside_baselines_and_by_what_their_intervals_hold() {
     let table = outcome.table();
     assert_eq!(table.column("habit"), ["new-office", "new-bar", "all"]);
     for level in ["50", "80", "90", "95"] {
-        let (held, said) = (table.numbers(&format!("held_{level}")), table.numbers(&format!("said_{level}")));
-        assert!(held.iter().chain(&said).all(|share| (0.0..=1.0).contains(share)), "{table:?}");
+        let (held, claimed) = (table.numbers(&format!("held_{level}")), table.numbers(&format!("said_{level}")));
+        assert!(held.iter().chain(&claimed).all(|share| (0.0..=1.0).contains(share)), "{table:?}");
         let level: f64 = level.parse().expect("a number");
-        assert!(said.iter().all(|&said| said > level / 100.0 - 1e-6), "an interval holds its level: {table:?}");
+        assert!(claimed.iter().all(|&share| share > level / 100.0 - 1e-6), "an interval holds its level: {table:?}");
     }
     // The last row has the means of those above.
     for column in ["mse", "mse_of_best", "log_loss", "log_loss_of_best"] {

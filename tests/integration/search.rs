@@ -53,7 +53,7 @@ fn expected_secs(walk: &Table, probabilities: &Table) -> f64 {
 }
 
 #[test]
-fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
+fn somebody_in_a_flat_is_searched_where_she_is_at_that_time() {
     let Some(folder) = recordings::folder("aruba") else { return };
     let read = |name: &str| fs::read_to_string(folder.join(name)).expect("a recording");
     let (topology, stays) = (read("topology.txt"), read("presence_8weeks.txt"));
@@ -119,7 +119,7 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
 }
 
 #[test]
-fn who_is_where_and_when_all_are_there_is_told() {
+fn who_is_where_and_when_all_are_there_is_answered() {
     let (_data, _launch, daemon) = started();
     load(&daemon, "flat", FLAT, &[]).table();
     // A week: Anna sits in the office from 8 to 16 and in the kitchen else; the cup is in the kitchen from noon to
@@ -274,7 +274,7 @@ fn a_topological_map_is_edited_and_kept() {
 }
 
 #[test]
-fn what_is_looked_for_may_be_of_a_kind() {
+fn what_is_searched_may_be_of_a_kind() {
     let (_data, _launch, daemon) = started();
     load(&daemon, "flat", FLAT, &[]).table();
     let rows = seen(&[("hall", 0), ("kitchen", 1), ("office", 0), ("node/kitchen/Anna", 0), ("node/office/Anna", 1)]);

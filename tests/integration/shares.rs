@@ -146,7 +146,7 @@ async fn new_tiles(client: &Client, producer: &str, y: i32, count: u32) -> Vec<R
         ..ScanBatch::default()
     };
     let mut stream = RawStream::open_as(client, hello(producer, "hall")).await.expect("a stream");
-    stream.say(Message::Scans(batch)).await;
+    stream.send_message(Message::Scans(batch)).await;
     stream.acknowledged(count.into()).await.expect("durable, or refused")
 }
 
@@ -196,14 +196,14 @@ async fn requests_count_by_token_and_not_by_address() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn updates_that_were_asked_for_give_their_places_back() {
+async fn updates_that_were_requested_give_their_places_back() {
     let (_work, daemon, [client], _) = guarded(|launch| launch).await;
     let mut service = MaintenanceServiceClient::new(client.requests());
-    let mut asked = 0;
-    while asked < 40 {
+    let mut taken = 0;
+    while taken < 40 {
         let request = RunUpdateRequest { map: "office".to_owned(), until: None };
         match service.run_update(request).await {
-            Ok(_) => asked += 1,
+            Ok(_) => taken += 1,
             Err(refused) => check(&refused, &["one client has requested"]),
         }
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;

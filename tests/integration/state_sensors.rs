@@ -27,8 +27,8 @@ fn observe(daemon: &Daemon, state: &str, readings: &[(i64, u8)]) {
 
 fn predict(daemon: &Daemon, state: &str, secs: i64) -> f64 {
     let at = (START_SECS + secs).to_string();
-    let asked = ["predict", "home", state, "--at", &at, "--model", "auto+belief"];
-    tidemap(daemon, asked).table().numbers("probability")[0]
+    let arguments = ["predict", "home", state, "--at", &at, "--model", "auto+belief"];
+    tidemap(daemon, arguments).table().numbers("probability")[0]
 }
 
 /// The probability of 1 after a reading, from that before it.
@@ -38,7 +38,7 @@ fn after(before: f64, is_one: bool) -> f64 {
 }
 
 #[test]
-fn a_reading_of_a_known_sensor_proves_what_bayes_says() {
+fn a_reading_of_a_known_sensor_has_the_weight_of_the_rule_of_bayes() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC", "--clock", "simulated"]).table();

@@ -107,12 +107,12 @@ async fn a_collector_that_is_absent_or_hangs_costs_spans_only() {
         let daemon = Launch::on(work.path()).setting("otlp_endpoint", format!("http://{address}")).start();
         let client = daemon.client();
         create_map(&client).await;
-        let mut asked = 0;
+        let mut requests = 0;
         // A batch is given up after five seconds. Until then, and after, requests are answered.
         while metric(&daemon, "tidemap_spans_dropped_total") == 0.0 {
             client.map("home").await.expect("an answer");
-            asked += 1;
-            assert!(asked < 100_000, "spans should be dropped");
+            requests += 1;
+            assert!(requests < 100_000, "spans should be dropped");
             tokio::time::sleep(Duration::from_millis(2)).await;
         }
         assert_eq!(metric(&daemon, "tidemap_spans_exported_total"), 0.0);

@@ -139,7 +139,7 @@ fn edges_are_learned_from_reports_exactly_once() {
 }
 
 #[test]
-fn single_reports_are_told_what_is_wrong_with_them() {
+fn an_error_names_what_is_wrong_with_a_single_report() {
     let (_data, _launch, daemon) = started();
     let one = |from: &str, end: &str, more: &[&str]| {
         let args =

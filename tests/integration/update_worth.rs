@@ -19,7 +19,7 @@ fn rows(days: std::ops::Range<i64>, is_inverted: bool) -> String {
 }
 
 #[test]
-fn stats_tell_a_changed_routine_from_a_usual_day() {
+fn stats_distinguish_a_changed_routine_from_a_usual_day() {
     let data = tempfile::tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     cli::tidemap(&daemon, ["map", "create", "office", "--time-zone", "UTC", "--clock", "simulated"]).table();

@@ -187,7 +187,7 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
 }
 
 #[test]
-fn three_coordinates_are_learned_and_told() {
+fn three_coordinates_are_learned_and_predicted() {
     let data = tempfile::tempdir().expect("a folder");
     let (_launch, daemon) = office(data.path());
     let added = ["state", "add", "office", "drone", "--kind", "vector", "--dimensions", "3"];

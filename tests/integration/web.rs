@@ -61,14 +61,14 @@ async fn every_rpc_that_takes_one_request_is_there_as_json() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn json_says_what_grpc_says() {
+async fn json_and_grpc_give_equal_answers() {
     let data = tempdir().expect("a folder");
     let daemon = daemon_with_a_door(data.path()).await;
     let map = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
     assert_eq!((map.code, map.json()["map"]["observations"].as_str()), (200, Some("2")), "{}", map.text());
 
-    let asked = json!({ "map": "home", "states": ["door"], "timesNanos": ["5000000000", "9000000000"] });
-    let answer = call(&daemon.http, "tidemap.v1.QueryService/PredictStates", &[], &asked);
+    let request = json!({ "map": "home", "states": ["door"], "timesNanos": ["5000000000", "9000000000"] });
+    let answer = call(&daemon.http, "tidemap.v1.QueryService/PredictStates", &[], &request);
     assert_eq!((answer.code, answer.headers["content-type"].as_str()), (200, "application/x-ndjson"));
     let line: Value = serde_json::from_str(answer.text().trim_end()).expect("one line");
     let times = vec![5_000_000_000, 9_000_000_000];
@@ -146,7 +146,7 @@ async fn pages_of_others_are_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_tokens_the_port_is_for_reading_unless_the_operator_says_otherwise() {
+async fn without_tokens_the_port_is_for_reading_unless_the_operator_allows_more() {
     let data = tempdir().expect("a folder");
     let daemon = daemon_with_a_door(data.path()).await;
     let create = json!({ "name": "new" });

@@ -97,7 +97,7 @@ impl Lanes {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)[index] = is_idle;
     }
 
-    fn say(&self, event: Value) {
+    fn send_event(&self, event: Value) {
         // Nobody listens only at the end.
         let _ = self.events.send(event);
     }
@@ -189,7 +189,7 @@ impl Lane {
         );
         let word = if is_violation { "violation" } else { "left" };
         let text = format!("{}: {error}", producer_name(self.index));
-        self.lanes.say(json!({ "event": word, "text": text, "via": self.at, "at": now_secs() }));
+        self.lanes.send_event(json!({ "event": word, "text": text, "via": self.at, "at": now_secs() }));
     }
 
     /// Streams through one daemon until it fails, or producers are paused.
@@ -236,20 +236,20 @@ impl Lane {
                 "durable": durable, "via": self.at, "at": now_secs() })
         };
         if durable > sent && sent > 0 {
-            self.lanes.say(report("foreign"));
+            self.lanes.send_event(report("foreign"));
         }
         if durable >= acknowledged {
             self.forgotten_since = None;
             return false;
         }
         let since = *self.forgotten_since.get_or_insert_with(|| {
-            self.lanes.say(report("set_back"));
+            self.lanes.send_event(report("set_back"));
             Instant::now()
         });
         if since.elapsed() < HEALS_WITHIN {
             return true;
         }
-        self.lanes.say(report("lost"));
+        self.lanes.send_event(report("lost"));
         self.forgotten_since = None;
         false
     }
@@ -272,7 +272,7 @@ impl Lane {
         let durable = producer.flush().await?.durable_sequence;
         self.set_mark(durable, 0);
         if count > 0 {
-            self.lanes.say(json!({ "event": "ack", "producer": self.index, "via": self.at, "at": now_secs() }));
+            self.lanes.send_event(json!({ "event": "ack", "producer": self.index, "via": self.at, "at": now_secs() }));
         }
         Ok(())
     }

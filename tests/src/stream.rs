@@ -71,7 +71,7 @@ impl RawStream {
         let mut service = ObservationServiceClient::new(client.requests());
         let replies = service.observe(ReceiverStream::new(outgoing)).await?.into_inner();
         let mut stream = Self { requests: Some(requests), replies, names_sent: 0 };
-        stream.say(observe_request::Message::Hello(hello)).await;
+        stream.send_message(observe_request::Message::Hello(hello)).await;
         match stream.reply().await {
             Ok(Message::Welcome(_)) => Ok(stream),
             Ok(other) => panic!("a Welcome should come first, not {other:?}"),
@@ -89,7 +89,7 @@ impl RawStream {
     pub async fn open(address: &str, hello: Hello) -> Result<(Self, Welcome), Ended> {
         let in_status = |status| Ended { goodbye: None, status: Some(status) };
         let mut stream = Self::silent(address).await.map_err(in_status)?;
-        stream.say(observe_request::Message::Hello(hello)).await;
+        stream.send_message(observe_request::Message::Hello(hello)).await;
         match stream.reply().await? {
             Message::Welcome(welcome) => Ok((stream, welcome)),
             other => panic!("a Welcome should come first, not {other:?}"),
@@ -97,7 +97,7 @@ impl RawStream {
     }
 
     /// Sends a message; the reason why a stream has ended is returned by reading it.
-    pub async fn say(&mut self, message: observe_request::Message) {
+    pub async fn send_message(&mut self, message: observe_request::Message) {
         self.send(ObserveRequest { message: Some(message) }).await;
     }
 
@@ -121,7 +121,7 @@ impl RawStream {
     pub async fn batch(&mut self, first_sequence: u64, observations: ObservationColumns) {
         self.names_sent += u32::try_from(observations.new_states.len()).expect("a few names");
         let batch = ObservationBatch { first_sequence, observations: Some(observations) };
-        self.say(observe_request::Message::Batch(batch)).await;
+        self.send_message(observe_request::Message::Batch(batch)).await;
     }
 
     /// Closes the sending side.

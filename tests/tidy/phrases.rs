@@ -108,13 +108,13 @@ fn foreign_names(code: &str) -> Vec<&str> {
 
 /// Whether a comment has no meaning by itself: "The same …" as what? "Its name." of what, and which names are there?
 fn is_empty_comment(comment: &[String]) -> bool {
-    let says_only_its = |text: &str| {
+    let has_only_its = |text: &str| {
         let words: Vec<&str> = text.split(' ').collect();
         let is_bare = text.ends_with('.') && !text.contains([',', ':', '`']);
         is_bare && matches!(words[..], ["Its" | "Their", _] | ["Its" | "Their", _, _])
     };
     let begins_again = comment.first().is_some_and(|line| line.starts_with("The same"));
-    begins_again || matches!(comment, [line] if says_only_its(line))
+    begins_again || matches!(comment, [line] if has_only_its(line))
 }
 
 /// The paragraphs of comments: number of the first line, and the lines.
@@ -134,7 +134,7 @@ fn paragraphs(lines: &[Line]) -> Vec<(usize, Vec<String>)> {
 }
 
 #[test]
-fn names_say_what_a_value_is() {
+fn names_state_what_a_value_is() {
     let mut broken = Vec::new();
     for path in &files(".", ".rs") {
         for (number, line) in lines(&read(path)).iter().enumerate() {

@@ -96,7 +96,7 @@ fn the_client_library_defines_no_type_of_the_domain_again() {
 }
 
 #[test]
-fn only_convert_speaks_to_the_wire() {
+fn only_convert_makes_wire_messages() {
     let mut broken: Vec<String> = Vec::new();
     for (folder, ..) in CRATES {
         for path in sources(folder).iter().filter(|path| !path.starts_with("proto/src/convert")) {
@@ -122,7 +122,7 @@ fn glossary(text: &str) -> Vec<(String, Vec<String>)> {
 }
 
 #[test]
-fn the_glossary_says_each_term_once() {
+fn the_glossary_has_each_term_once() {
     let glossary = glossary(&read("ARCHITECTURE.md"));
     assert!(!glossary.is_empty(), "ARCHITECTURE.md has no table below \"## Glossary\"");
     let code: String = CRATES.iter().flat_map(|(folder, ..)| sources(folder)).map(|path| read(&path)).collect();

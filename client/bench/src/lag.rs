@@ -17,7 +17,7 @@ use tidemap_terminal::{failure::UsageError, progress::status_line};
 
 /// The time limit until the other daemon holds a new map.
 const HELD_WITHIN: Duration = Duration::from_secs(60);
-const LOOK_AGAIN_AFTER: Duration = Duration::from_millis(200);
+const CHECK_INTERVAL: Duration = Duration::from_millis(200);
 const STATE: &str = "door";
 
 #[derive(Debug, Args)]
@@ -98,7 +98,7 @@ async fn held(reader: &Client, map: &str) -> anyhow::Result<()> {
         if Instant::now() > end {
             return Err(error);
         }
-        tokio::time::sleep(LOOK_AGAIN_AFTER).await;
+        tokio::time::sleep(CHECK_INTERVAL).await;
     }
     Ok(())
 }

@@ -126,8 +126,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &LandmarkBenchArgs) ->
     let moment = |number: u32| after_looks + i64::from(number) * MINUTE_NANOS;
     let mut predicted = Latencies::new()?;
     for number in 0..args.requests {
-        let asked = (scrambled(number.into()) % u64::from(args.nodes)) as u32;
-        let place = PlaceName::parse(&node(asked))?;
+        let requested = (scrambled(number.into()) % u64::from(args.nodes)) as u32;
+        let place = PlaceName::parse(&node(requested))?;
         let began = Instant::now();
         let (landmarks, _) =
             client.predict_landmarks(map, (&place, PartOfEdge::WHOLE), moment(number), LANDMARKS_ASKED).await?;

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_content_says_which_kind_of_file_it_is() {
+    fn the_content_decides_which_kind_of_file_it_is() {
         for yaml in [
             "- node: {}",
             "# saved by hand\n---\n- meta:",

@@ -21,7 +21,7 @@ use crate::{
     failure, grids,
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
     open_producer::{Driven, OpenProducer},
-    reports::SaidReporting,
+    reports::GivenReporting,
     room::Room,
     rpc::{self, Replies, model_named},
     waiting::{Maker, runtime, wait},
@@ -244,7 +244,7 @@ impl NativeClient {
     /// Checks that a kind exists and fits the reporting of the states, before anything is withdrawn or sent.
     #[pyo3(signature = (kind, reporting=None))]
     #[expect(clippy::unused_self, reason = "Python has the client at hand")]
-    fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<SaidReporting>) -> PyResult<()> {
+    fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<GivenReporting>) -> PyResult<()> {
         states_of(py, kind, reporting).map(drop)
     }
 
@@ -270,7 +270,7 @@ impl NativeClient {
         nightly: bool,
         positions: Option<PyReadonlyArray2<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
-        reporting: Option<SaidReporting>,
+        reporting: Option<GivenReporting>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let are_labels = kind == Some(CATEGORICAL);
         let (kind, reporting) = states_of(py, kind, reporting)?;
@@ -378,14 +378,14 @@ impl NativeClient {
         let count = times.len();
         let (client, room) = self.client(py)?;
         let map = map.to_owned();
-        let asked = async move {
+        let request = async move {
             let ask = || {
                 let predictions = client.predict(&map, states.clone(), times.clone(), model);
                 predicted_rows(predictions.with_intervals(interval.unwrap_or(0.0)), count)
             };
             room.ask(ask).await.map(|(rows, _)| rows)
         };
-        let predicted = wait(py, asked, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
+        let predicted = wait(py, request, |_| Ok(()))?.map_err(|error| failure::request(py, &error))?;
         let rows = predicted.map_err(|name| {
             let message = format!("{name} is a position: request QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
@@ -432,9 +432,9 @@ impl NativeClient {
             is_projected: project,
             output,
         };
-        let ((client, room), asked) = (self.client(py)?, query.clone());
+        let ((client, room), request) = (self.client(py)?, query.clone());
         let answered = async move {
-            let ask = || async { client.predict_grid(&asked).await?.whole().await };
+            let ask = || async { client.predict_grid(&request).await?.whole().await };
             room.ask(ask).await.map(|(answer, _)| answer)
         };
         let answer = wait(py, answered, |_| Ok(()))?;
@@ -451,7 +451,7 @@ impl NativeClient {
         producer: &str,
         label: &str,
         kind: Option<&str>,
-        reporting: Option<SaidReporting>,
+        reporting: Option<GivenReporting>,
         patience_secs: f64,
     ) -> PyResult<OpenProducer> {
         let (kind, reporting) = states_of(py, kind, reporting)?;

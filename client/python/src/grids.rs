@@ -36,12 +36,12 @@ pub(crate) fn cell_box([x, y, z, to_x, to_y, to_z]: [i32; 6]) -> CellBox {
 /// The cells of an array: the requested cells, also where nothing was ever seen. A projected grid has one layer.
 fn cells_of(answer: &WholeGrid, query: &GridQuery) -> CellBox {
     let known = answer.header.region;
-    let asked = query.region.unwrap_or(known);
+    let requested = query.region.unwrap_or(known);
     if query.is_projected {
-        let layer = |asked: CellIndex, known: CellIndex| CellIndex { z: known.z, ..asked };
-        return CellBox { min: layer(asked.min, known.min), max: layer(asked.max, known.max) };
+        let layer = |requested: CellIndex, known: CellIndex| CellIndex { z: known.z, ..requested };
+        return CellBox { min: layer(requested.min, known.min), max: layer(requested.max, known.max) };
     }
-    asked
+    requested
 }
 
 /// The values, whether each cell has changed, and where the cells are.

@@ -15,7 +15,7 @@ use tidemap_client::{
 
 use crate::{
     failure,
-    reports::{SaidReporting, stated},
+    reports::{GivenReporting, stated},
 };
 
 /// Maximum number of refusals that are reported in words.
@@ -162,13 +162,13 @@ pub(crate) const CATEGORICAL: &str = "categorical";
 pub(crate) fn states_of(
     py: Python<'_>,
     kind: Option<&str>,
-    said: Option<SaidReporting>,
+    given: Option<GivenReporting>,
 ) -> PyResult<(Option<StateShape>, Option<StatedReporting>)> {
-    if kind == Some(CATEGORICAL) && said.is_some() {
+    if kind == Some(CATEGORICAL) && given.is_some() {
         return Err(failure::invalid(py, "kind=\"categorical\" does not go with reports: labels are samples"));
     }
     let kind = kind.filter(|name| *name != CATEGORICAL).map(|name| kind_named(py, name)).transpose()?;
-    let reporting = said.map(|said| stated(py, said)).transpose()?;
+    let reporting = given.map(|given| stated(py, given)).transpose()?;
     if let (Some(kind), Some(reporting)) = (kind, reporting)
         && !kind.may_report(reporting.for_new())
     {

@@ -13,10 +13,10 @@ use crate::failure;
 
 /// The kind of rows, the longest time for which a row is valid, and the time between two readings that are learned;
 /// nanoseconds.
-pub(crate) type SaidReporting = (String, Option<i64>, Option<i64>);
+pub(crate) type GivenReporting = (String, Option<i64>, Option<i64>);
 
 /// The stated reporting of states, checked.
-pub(crate) fn stated(py: Python<'_>, (word, hold_max, hold_step): SaidReporting) -> PyResult<StatedReporting> {
+pub(crate) fn stated(py: Python<'_>, (word, hold_max, hold_step): GivenReporting) -> PyResult<StatedReporting> {
     let kind = RowKind::ALL.into_iter().find(|kind| kind.name() == word).ok_or_else(|| {
         failure::invalid(py, &format!("reports={word:?} is not known: use \"samples\", \"changes\" or \"events\""))
     })?;

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_without_files_says_what_to_do() {
+    fn a_text_without_files_gives_an_error_with_advice() {
         let error = Folder::parse("rosbag2_bagfile_information: {version: 9}").unwrap_err().to_string();
         assert!(error.contains("ros2 bag reindex"), "{error}");
         assert!(matches!(Folder::parse("image: map.pgm"), Err(RecordingError::Broken(_))));

@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_parents_the_one_with_more_transforms_counts_and_both_are_told() {
+    fn of_two_parents_the_one_with_more_transforms_counts_and_both_are_reported() {
         let mut frames = Frames::default();
         for time in 0..9 {
             add(&mut frames, "odom", "base", time, turned(1.0, 0.0), false);

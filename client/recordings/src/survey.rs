@@ -155,10 +155,10 @@ impl Survey {
     }
 
     /// Begins again with the first file, and keeps only the transforms between frames of sensors and their roots: for
-    /// recordings with more transforms than can be kept. `asked`: the frame in which everything is to be placed.
-    pub fn again_with_sensors(&mut self, asked: Option<&str>) {
+    /// recordings with more transforms than can be kept. `requested`: the frame in which everything is to be placed.
+    pub fn again_with_sensors(&mut self, requested: Option<&str>) {
         let mut kept = HashSet::new();
-        let usual = ["map", "odom"].into_iter().chain(asked.map(frame_name));
+        let usual = ["map", "odom"].into_iter().chain(requested.map(frame_name));
         for mut frame in self.topics.iter().map(|topic| topic.frame.as_str()).chain(usual) {
             while let Some(parent) = self.parents.get(frame) {
                 if !kept.insert(frame.to_owned()) {

@@ -133,7 +133,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_stream_that_is_cut_off_says_so(data in proptest::collection::vec(0..4_u8, 1..500), cut in 1..10_000_usize) {
+        fn a_stream_cut_short_is_an_error(data in proptest::collection::vec(0..4_u8, 1..500), cut in 1..10_000_usize) {
             let bytes = packed(&data);
             let cut = 1 + cut % (bytes.len() - 1);
             prop_assert_eq!(unpacked(&bytes[..cut]).unwrap_err().kind(), io::ErrorKind::UnexpectedEof);

@@ -139,7 +139,7 @@ pub fn declare_labels(columns: &mut ObservationColumns, is_label: impl Fn(&str) 
     }
     columns.new_kinds.resize(columns.new_states.len(), 0);
     let named = columns.new_kinds.iter_mut().zip(&columns.new_states);
-    named.filter(|(_, name)| is_label(name)).for_each(|(said, _)| *said = StateKind::Categorical.into());
+    named.filter(|(_, name)| is_label(name)).for_each(|(kind, _)| *kind = StateKind::Categorical.into());
 }
 
 #[cfg(test)]

@@ -74,7 +74,7 @@ impl Link {
     }
 
     pub(super) async fn run(mut self) {
-        let mut said_hello = false;
+        let mut has_sent_hello = false;
         let mut key_deadline = None;
         loop {
             let error = match self.connection().await {
@@ -87,7 +87,7 @@ impl Link {
                 }
                 // An earlier Hello, whose Welcome was lost with its connection, may hold the key until the daemon
                 // notices.
-                End::Final(ProducerError::KeyInUse(detail)) if said_hello && self.incarnation == 0 => {
+                End::Final(ProducerError::KeyInUse(detail)) if has_sent_hello && self.incarnation == 0 => {
                     Error::Server(ServerError::new(Code::AlreadyExists, detail))
                 }
                 End::Final(error) => return self.finish(error),
@@ -98,7 +98,7 @@ impl Link {
             if self.may_leave() {
                 return self.finish(ProducerError::Closed);
             }
-            said_hello = true;
+            has_sent_hello = true;
             let Some(delay) = self.outage.failed(self.epoch.elapsed()) else {
                 let waited_secs = self.outage.lasted(self.epoch.elapsed()).as_secs();
                 return self.finish(ProducerError::GaveUp { waited_secs, last: error });

@@ -112,8 +112,8 @@ impl Outgoing {
             columns
                 .new_kinds
                 .iter_mut()
-                .filter(|said| **said == 0)
-                .for_each(|said| *said = shape_to_wire(shape).0.into());
+                .filter(|kind| **kind == 0)
+                .for_each(|kind| *kind = shape_to_wire(shape).0.into());
         }
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }

@@ -168,9 +168,9 @@ impl AnomalyWatch {
 }
 
 /// Several producers may observe a state at the same time.
-fn found(reply: v1::FindAnomaliesResponse, asked: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
+fn found(reply: v1::FindAnomaliesResponse, requested: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
     let v1::FindAnomaliesResponse { times_nanos, values, probabilities, .. } = reply;
-    if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| asked.contains(time)) {
+    if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| requested.contains(time)) {
         return Err(Error::Protocol("anomalies are not those that were requested"));
     }
     rows(times_nanos, values, probabilities)
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn anomalies_come_by_time_and_within_what_was_asked_for() {
+    fn anomalies_come_by_time_and_within_what_was_requested() {
         let reply = |times: &[i64]| v1::FindAnomaliesResponse {
             times_nanos: times.to_vec(),
             values: vec![0.0; 2],

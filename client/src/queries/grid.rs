@@ -78,7 +78,7 @@ impl Client {
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist, `FAILED_PRECONDITION` if it has no grid,
     /// `RESOURCE_EXHAUSTED` if the region has more cells than the limit.
     pub async fn predict_grid(&self, query: &GridQuery) -> Result<GridPrediction, Error> {
-        self.asked(query, false).await
+        self.send_query(query, false).await
     }
 
     /// The header of the reply, without the tiles.
@@ -86,10 +86,10 @@ impl Client {
     /// # Errors
     /// The errors of [`Client::predict_grid`].
     pub async fn estimate_grid(&self, query: &GridQuery) -> Result<GridHeader, Error> {
-        self.asked(query, true).await.map(|answer| answer.header)
+        self.send_query(query, true).await.map(|answer| answer.header)
     }
 
-    async fn asked(&self, query: &GridQuery, estimate_only: bool) -> Result<GridPrediction, Error> {
+    async fn send_query(&self, query: &GridQuery, estimate_only: bool) -> Result<GridPrediction, Error> {
         let output = match query.output {
             GridOutput::Probability => CellOutput::Probability,
             GridOutput::Entropy => CellOutput::Entropy,

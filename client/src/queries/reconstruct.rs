@@ -55,9 +55,9 @@ impl Reconstruction {
 }
 
 /// Several producers may observe a state at the same time.
-fn checked(reply: v1::ReconstructResponse, asked: std::ops::Range<i64>) -> Result<Vec<(i64, f64)>, Error> {
+fn checked(reply: v1::ReconstructResponse, requested: std::ops::Range<i64>) -> Result<Vec<(i64, f64)>, Error> {
     let v1::ReconstructResponse { times_nanos, values } = reply;
-    let ascending = times_nanos.is_sorted() && times_nanos.iter().all(|time| asked.contains(time));
+    let ascending = times_nanos.is_sorted() && times_nanos.iter().all(|time| requested.contains(time));
     if times_nanos.len() != values.len() || !ascending {
         return Err(Error::Protocol("observations are not those that were requested"));
     }
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn observations_come_by_time_and_within_what_was_asked_for() {
+    fn observations_come_by_time_and_within_what_was_requested() {
         let reply = |times: &[i64]| v1::ReconstructResponse { times_nanos: times.to_vec(), values: vec![1.0; 2] };
         assert_eq!(checked(reply(&[5, 9]), 5..10), Ok(vec![(5, 1.0), (9, 1.0)]));
         assert_eq!(checked(reply(&[5, 5]), 5..10), Ok(vec![(5, 1.0), (5, 1.0)]));

@@ -93,7 +93,7 @@ fn a_scan_larger_than_a_batch_is_put_together() -> Tested {
 }
 
 #[test]
-fn a_file_that_is_cut_off_gives_its_whole_batches_and_says_where() -> Tested {
+fn a_file_that_is_cut_off_gives_its_whole_batches_and_the_place_of_the_cut() -> Tested {
     let bytes = file(600)?;
     let mut raw = ScanFile::new(bytes.as_slice())?;
     let mut starts = Vec::new();

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_confidence_is_that_of_the_paper_unless_told_otherwise() {
+    fn the_confidence_is_that_of_the_paper_unless_another_is_given() {
         assert_eq!(confidence_from_wire("confidence", None).map(Confidence::get), Ok(0.99));
         assert_eq!(confidence_from_wire("confidence", Some(0.6)).map(Confidence::get), Ok(0.6));
         for wrong in [0.0, 0.5, 1.5, f64::NAN] {
@@ -198,16 +198,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_asked_of_what_was_unusual_is_checked() {
+    fn questions_about_anomalies_are_checked() {
         let right = || v1::ListSurprisesRequest {
             from_time: Some(timestamp(5)),
             to_time: Some(timestamp(9)),
             ..Default::default()
         };
-        let asked = |request| surprises_from_wire(request).map(|(_, question)| question);
-        let question = asked(right()).expect("right");
+        let question_of = |request| surprises_from_wire(request).map(|(_, question)| question);
+        let question = question_of(right()).expect("right");
         assert_eq!((question.within_nanos, question.confidence.get(), question.top), (5..9, 0.99, 100));
-        let field = |request| asked(request).expect_err("wrong").field;
+        let field = |request| question_of(request).expect_err("wrong").field;
         assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(0.8), ..right() }), "confidence");
         assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(2.0), ..right() }), "confidence");
         assert_eq!(field(v1::ListSurprisesRequest { top: 10_001, ..right() }), "top");

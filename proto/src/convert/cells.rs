@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_takes_no_more_than_was_said() {
+    fn a_tile_takes_no_more_bytes_than_its_bound() {
         let index = TileIndex { x: -1_048_576, y: 1_048_575, z: -1_048_576 };
         let values = vec![0.25; TILE_CELLS];
         let (known, changed) = (Mask::FULL, Mask::FULL);

@@ -43,18 +43,18 @@ pub struct RouteQuestion {
 /// # Errors
 /// The invalid field.
 pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, InvalidField> {
-    use v1::plan_route_request::When as Asked;
+    use v1::plan_route_request::When as WhenRequested;
     let default = RouteOptions::default();
     let horizon_secs = positive_secs("horizon", request.horizon, default.horizon_secs)?;
     let missing = || InvalidField::new("when", "set one of depart_time, arrive_by_time and depart_within");
     let (reference_nanos, when) = match request.when.as_ref().ok_or_else(missing)? {
-        Asked::DepartTime(time) => (nanos_from_timestamp("depart_time", *time)?, When::DepartAt(0.0)),
-        Asked::ArriveByTime(time) => {
+        WhenRequested::DepartTime(time) => (nanos_from_timestamp("depart_time", *time)?, When::DepartAt(0.0)),
+        WhenRequested::ArriveByTime(time) => {
             let nanos = nanos_from_timestamp("arrive_by_time", *time)?;
             // No time is before 1970.
             (nanos, When::ArriveBy { by_secs: 0.0, earliest_secs: -horizon_secs.min(nanos as f64 / 1e9) })
         }
-        Asked::DepartWithin(window) => {
+        WhenRequested::DepartWithin(window) => {
             let from = instant_from_wire("depart_within.from_time", window.from_time)?;
             let to = instant_from_wire("depart_within.to_time", window.to_time)?;
             if to < from {
@@ -283,7 +283,7 @@ mod tests {
 
     const MINUTE: i64 = 60_000_000_000;
 
-    fn asked(when: v1::plan_route_request::When) -> v1::PlanRouteRequest {
+    fn request_at(when: v1::plan_route_request::When) -> v1::PlanRouteRequest {
         v1::PlanRouteRequest { when: Some(when), ..Default::default() }
     }
 
@@ -294,19 +294,20 @@ mod tests {
 
     #[test]
     fn a_plain_question_has_the_defaults() {
-        use v1::plan_route_request::When as Asked;
-        let question = route_from_wire(&asked(Asked::DepartTime(timestamp(7 * MINUTE)))).expect("right");
+        use v1::plan_route_request::When as WhenRequested;
+        let question = route_from_wire(&request_at(WhenRequested::DepartTime(timestamp(7 * MINUTE)))).expect("right");
         let options = RouteOptions::default();
         assert_eq!(
             question,
             RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options, avoided: None }
         );
-        let by =
-            |minutes| route_from_wire(&asked(Asked::ArriveByTime(timestamp(minutes * MINUTE)))).expect("right").when;
+        let by = |minutes| {
+            route_from_wire(&request_at(WhenRequested::ArriveByTime(timestamp(minutes * MINUTE)))).expect("right").when
+        };
         assert_eq!(by(7_000), When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });
         assert_eq!(by(7), When::ArriveBy { by_secs: 0.0, earliest_secs: -420.0 }, "not before 1970");
         let window = window(MINUTE, 3 * MINUTE);
-        let within = route_from_wire(&asked(Asked::DepartWithin(window))).expect("right");
+        let within = route_from_wire(&request_at(WhenRequested::DepartWithin(window))).expect("right");
         let steps = When::DepartWithin { from_secs: 0.0, to_secs: 120.0, step_secs: 60.0 };
         assert_eq!((within.reference_nanos, within.when), (MINUTE, steps));
         assert_eq!(policy_from_wire(&v1::PlanPolicyRequest::default()), Ok(PolicyOptions::default()));
@@ -314,18 +315,18 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named() {
-        use v1::plan_route_request::When as Asked;
+        use v1::plan_route_request::When as WhenRequested;
         let field = |request: v1::PlanRouteRequest| route_from_wire(&request).expect_err("wrong").field;
         assert_eq!(field(v1::PlanRouteRequest::default()), "when");
-        let at = || asked(Asked::DepartTime(timestamp(0)));
-        assert_eq!(field(asked(Asked::DepartTime(timestamp(-1)))), "depart_time");
+        let at = || request_at(WhenRequested::DepartTime(timestamp(0)));
+        assert_eq!(field(request_at(WhenRequested::DepartTime(timestamp(-1)))), "depart_time");
         assert_eq!(field(v1::PlanRouteRequest { objective: 9, ..at() }), "objective");
         assert_eq!(field(v1::PlanRouteRequest { objective: 3, doubt: f64::NAN, ..at() }), "doubt");
         assert_eq!(field(v1::PlanRouteRequest { recovery_secs: Some(-1.0), ..at() }), "recovery_secs");
         let none = Some(prost_types::Duration { seconds: 0, nanos: 0 });
         assert_eq!(field(v1::PlanRouteRequest { horizon: none, ..at() }), "horizon");
         let window = window(MINUTE, 0);
-        assert_eq!(field(asked(Asked::DepartWithin(window))), "depart_within");
+        assert_eq!(field(request_at(WhenRequested::DepartWithin(window))), "depart_within");
         let field = |request: v1::PlanPolicyRequest| policy_from_wire(&request).expect_err("wrong").field;
         assert_eq!(field(v1::PlanPolicyRequest { objective: 3, ..Default::default() }), "objective");
         assert_eq!(field(v1::PlanPolicyRequest { slot: none, ..Default::default() }), "slot");

@@ -158,11 +158,11 @@ pub fn failure_from_wire(failure: v1::EdgeFailure) -> Result<EdgeFailure, Invali
 
 /// Whether a failed traversal belongs to the requested edge, or to the opposite direction if both are requested.
 #[must_use]
-pub fn is_of(failure: &EdgeFailure, asked: &v1::EdgeEnds) -> bool {
+pub fn is_of(failure: &EdgeFailure, wanted: &v1::EdgeEnds) -> bool {
     let EdgeName { from, to, action } = &failure.edge;
     let ends = (from.as_str(), to.as_str());
-    let is_there = ends == (&asked.from, &asked.to) || (asked.both_ways && ends == (&asked.to, &asked.from));
-    is_there && action.as_ref().map_or("", |action| action.as_str()) == asked.action
+    let is_there = ends == (&wanted.from, &wanted.to) || (wanted.both_ways && ends == (&wanted.to, &wanted.from));
+    is_there && action.as_ref().map_or("", |action| action.as_str()) == wanted.action
 }
 
 #[cfg(test)]
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn failures_are_asked_for_by_edge() {
+    fn failures_are_requested_by_edge() {
         let failure = traversal_from_wire(&wire()).expect("right").failure().expect("it failed");
         let there = failure_to_wire(&failure).edge.expect("an edge");
         assert!(is_of(&failure, &there));

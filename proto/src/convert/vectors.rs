@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_cannot_be_is_said() {
+    fn names_that_cannot_be_are_errors() {
         let wrong = |change: fn(&mut ObservationColumns)| {
             let mut message = message();
             change(&mut message);

@@ -59,7 +59,7 @@ fn a_protocol_is_read_and_has_defaults() {
 }
 
 #[test]
-fn what_a_protocol_says_wrongly_is_named() {
+fn what_is_wrong_in_a_protocol_is_named() {
     for (from, to, message) in [
         (
             "slot: 30m",

@@ -35,7 +35,7 @@ pub fn summary<W: Write>(outcome: &HabitsComparison, format: Format, writer: W) 
 
 fn figures(scores: &Scores) -> Vec<Option<f64>> {
     let errors = [scores.auto.mse(), scores.mse_of_best(), scores.auto.log_loss(), scores.log_loss_of_best()];
-    let held = scores.held.iter().flat_map(|held: &HourClaims| [held.held(), held.said()]);
+    let held = scores.held.iter().flat_map(|held: &HourClaims| [held.held(), held.claimed()]);
     let sure = scores.sure.iter().flat_map(|sure: &Sure| [Some(sure.share()), sure.wrong()]);
     errors.into_iter().map(Some).chain(held).chain(sure).collect()
 }

@@ -46,7 +46,7 @@ impl Errors {
 pub struct HourClaims {
     hours: u64,
     held: u64,
-    said: f64,
+    claimed: f64,
 }
 
 impl HourClaims {
@@ -57,13 +57,13 @@ impl HourClaims {
         let interval = held.interval;
         self.hours += 1;
         self.held += u64::from(interval.lower - ROUNDING <= mean && mean <= interval.upper + ROUNDING);
-        self.said += held.mass;
+        self.claimed += held.mass;
     }
 
     fn join(&mut self, other: &HourClaims) {
         self.hours += other.hours;
         self.held += other.held;
-        self.said += other.said;
+        self.claimed += other.claimed;
     }
 
     /// The share of hours of which the mean lay in the interval; none without hours.
@@ -72,8 +72,8 @@ impl HourClaims {
     }
 
     /// The mean of the probabilities that the intervals stated; none without hours.
-    pub fn said(&self) -> Option<f64> {
-        (self.hours > 0).then(|| self.said / self.hours as f64)
+    pub fn claimed(&self) -> Option<f64> {
+        (self.hours > 0).then(|| self.claimed / self.hours as f64)
     }
 }
 

@@ -67,7 +67,7 @@ fn a_world_is_that_of_its_habit_and_seed() {
 }
 
 #[test]
-fn states_are_1_as_often_as_their_habit_says() {
+fn states_are_1_as_often_as_in_their_habit() {
     let (weekday, any) = (|day: &calendar::HabitDay| !day.is_weekend(), |_: &calendar::HabitDay| true);
     let office = worlds("office");
     about(share(&office, 10.0..11.5, weekday), 0.8);
@@ -206,12 +206,12 @@ fn scores_are_those_of_hand_made_predictions() {
     assert!((scores.log_loss_of_best() - (scores.auto.log_loss() / -(0.9_f64.ln()) - 1.0)).abs() < 1e-9);
 
     let mut held = HourClaims::default();
-    assert_eq!((held.held(), held.said()), (None, None));
+    assert_eq!((held.held(), held.claimed()), (None, None));
     let interval = |lower, upper, mass| HeldInterval { interval: Interval { lower, upper }, mass };
     held.add(&interval(0.2, 0.5, 0.6), 0.5);
     held.add(&interval(0.2, 0.5, 0.8), 4.0 / 6.0);
     assert_eq!(held.held(), Some(0.5));
-    assert!((held.said().expect("hours") - 0.7).abs() < 1e-12);
+    assert!((held.claimed().expect("hours") - 0.7).abs() < 1e-12);
 
     let mut sure = Sure::default();
     assert_eq!((sure.share(), sure.wrong()), (0.0, None));
@@ -253,9 +253,9 @@ fn a_new_bar_is_predicted_before_it_is_learned() {
         // No model can know the draws, and none is as bad as one that always predicts the opposite.
         assert!(truth < auto && auto < 0.2, "{}: {auto}, the truth {truth}", habit.name);
         assert!(scores.mse_of_best() < 0.5, "{}: {}", habit.name, scores.mse_of_best());
-        let said: Vec<f64> = scores.held.iter().filter_map(HourClaims::said).collect();
-        assert!(said.len() == LEVELS.len() && said.is_sorted(), "wider intervals hold more: {said:?}");
-        assert!(said.iter().zip(LEVELS).all(|(&said, level)| said >= level - 1e-9), "{said:?}");
+        let claimed: Vec<f64> = scores.held.iter().filter_map(HourClaims::claimed).collect();
+        assert!(claimed.len() == LEVELS.len() && claimed.is_sorted(), "wider intervals hold more: {claimed:?}");
+        assert!(claimed.iter().zip(LEVELS).all(|(&claimed, level)| claimed >= level - 1e-9), "{claimed:?}");
     }
 
     let mut table = Vec::new();

@@ -77,7 +77,7 @@ fn small(landmarks: &str) -> Result<LandmarkRecording, String> {
 }
 
 #[test]
-fn what_is_wrong_in_a_recording_is_said_with_its_line() {
+fn what_is_wrong_in_a_recording_is_reported_with_its_line() {
     let recording = small("3,1,0,10,20,10-,00ff\n").expect("valid");
     assert_eq!((recording.places(), recording.months(), recording.offset_px(0, 1)), (1, 3, 20.0));
     for (landmarks, wrong) in [

@@ -48,7 +48,7 @@ pub struct LeaseWatch {
 
 impl LeaseWatch {
     /// Records the lease that the engine returned at `now`; `None`: there is no lease.
-    pub fn look(&mut self, entry: Option<&KeyEntry>, now: Instant) {
+    pub fn note(&mut self, entry: Option<&KeyEntry>, now: Instant) {
         let revision = entry.map_or(0, |entry| entry.revision);
         if self.seen.as_ref().is_none_or(|(seen, ..)| *seen != revision) {
             let lease = entry.map_or_else(Lease::default, |entry| Lease::decode(&entry.value));
@@ -102,11 +102,11 @@ mod tests {
         let (mut watch, patience) = (LeaseWatch::default(), Duration::from_secs(3));
         let start = Instant::now();
         assert_eq!(watch.may_take("b", patience, start), None, "nothing is known");
-        watch.look(Some(&entry(4, "a", None)), start);
-        watch.look(Some(&entry(4, "a", None)), start + patience / 2);
+        watch.note(Some(&entry(4, "a", None)), start);
+        watch.note(Some(&entry(4, "a", None)), start + patience / 2);
         assert_eq!(watch.may_take("b", patience, start + patience / 2), None);
         assert_eq!(watch.may_take("b", patience, start + patience), Some(4));
-        watch.look(Some(&entry(5, "a", None)), start + patience);
+        watch.note(Some(&entry(5, "a", None)), start + patience);
         assert_eq!(watch.may_take("b", patience, start + patience), None, "it was renewed");
         assert_eq!(watch.may_take("a", patience, start + patience), Some(5), "its own");
     }
@@ -115,14 +115,14 @@ mod tests {
     async fn a_lease_that_is_handed_over_is_for_its_successor() {
         let (mut watch, patience) = (LeaseWatch::default(), Duration::from_secs(3));
         let now = Instant::now();
-        watch.look(Some(&entry(6, "a", Some("c"))), now);
+        watch.note(Some(&entry(6, "a", Some("c"))), now);
         assert_eq!(watch.may_take("c", patience, now), None, "the writer still has it");
         assert!(watch.is_announced_to("c") && !watch.is_announced_to("b"));
-        watch.look(Some(&entry(7, "", Some("c"))), now);
+        watch.note(Some(&entry(7, "", Some("c"))), now);
         assert_eq!(watch.may_take("b", patience, now), None);
         assert_eq!(watch.may_take("c", patience, now), Some(7));
         assert_eq!(watch.may_take("b", patience, now + patience), Some(7), "the successor did not take it");
-        watch.look(Some(&entry(8, "", None)), now);
+        watch.note(Some(&entry(8, "", None)), now);
         assert_eq!(watch.may_take("b", patience, now), Some(8), "for any");
     }
 }

@@ -52,8 +52,8 @@ impl ReplicaHandle {
     /// at once, not when the result is awaited.
     pub fn hand_over(&self, successor: Option<String>) -> impl Future<Output = bool> + Send + use<> {
         let (done, answer) = oneshot::channel();
-        let asked = self.orders.send(Order::HandOver(successor, done));
-        async move { asked.is_ok() && answer.await.unwrap_or(false) }
+        let sent = self.orders.send(Order::HandOver(successor, done));
+        async move { sent.is_ok() && answer.await.unwrap_or(false) }
     }
 
     /// Ends the replica; [`Replica::run`] returns when everything in flight has been completed.

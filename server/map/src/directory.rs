@@ -13,7 +13,7 @@ use std::{
 use crate::{
     event::{Dimensions, Reporting, StateKind, StateSensor, StateShape},
     ids::StateId,
-    name::{StateName, asked_for},
+    name::{StateName, referred_name},
 };
 
 const SHARDS: usize = 256;
@@ -65,7 +65,7 @@ impl Directory {
     }
 
     pub(crate) fn find(&self, name: &str) -> Option<StateId> {
-        let name = asked_for(name);
+        let name = referred_name(name);
         self.shards[self.shard(name)].get(name).copied()
     }
 

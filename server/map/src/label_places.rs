@@ -35,7 +35,7 @@ impl MapView {
         };
         let mut places: Vec<&StateName> = self.categorical_states().filter(is_alike).collect();
         places.sort_unstable();
-        let asked = places.iter().position(|known| known.as_str().strip_prefix(&prefix) == Some(place))?;
+        let wanted = places.iter().position(|known| known.as_str().strip_prefix(&prefix) == Some(place))?;
         let mut counts = LabelPlaces::new(names.len(), places.len()).ok()?;
         for (at, known) in places.iter().enumerate() {
             for (label, (id, _)) in self.labels(known.as_str()).into_iter().enumerate() {
@@ -44,6 +44,6 @@ impl MapView {
                 counts.add_many(label, at, count).ok()?;
             }
         }
-        counts.prior(asked)
+        counts.prior(wanted)
     }
 }

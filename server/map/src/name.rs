@@ -172,7 +172,7 @@ fn split_object(name: &str) -> Option<(&str, &str)> {
 }
 
 /// The name of the state that a query name refers to: `node/N`, of the default kind, is the plain state N.
-pub(crate) fn asked_for(name: &str) -> &str {
+pub(crate) fn referred_name(name: &str) -> &str {
     name.strip_prefix("node/").filter(|node| !node.contains('/')).unwrap_or(name)
 }
 
@@ -203,7 +203,7 @@ impl StateName {
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn observed(name: &str) -> Result<Self, InvalidName> {
-        let Some((node, kind)) = split_object(name) else { return Self::new(asked_for(name)) };
+        let Some((node, kind)) = split_object(name) else { return Self::new(referred_name(name)) };
         check(name)?;
         Self::new(node)?;
         Self::new(kind)?;

@@ -31,14 +31,14 @@ pub(crate) fn samples_of(
 
 /// The readings that are requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct AskedReadings {
+pub struct RequestedReadings {
     /// The readings from the first instant up to but not including the last, nanoseconds UTC.
     pub within_nanos: Range<i64>,
     /// Maximum number of readings; the first ones are returned.
     pub at_most: usize,
 }
 
-impl AskedReadings {
+impl RequestedReadings {
     /// The readings that rows represent, if `learned` has been learned before them.
     fn read(&self, learned: LearnedRows, reporting: Reporting, rows: Vec<Reading>, horizon_nanos: i64) -> Vec<Reading> {
         let rows = rows.into_iter().map(|(nanos, value)| (nanos, (!value.is_nan()).then_some(value))).collect();
@@ -71,32 +71,42 @@ impl MapView {
     /// The readings that learned observations of a state represent: the observations themselves, or the readings that
     /// rows of changes and events represent. Both ascend by time.
     #[must_use]
-    pub fn learned_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+    pub fn learned_readings(&self, id: StateId, observed: Vec<Reading>, requested: &RequestedReadings) -> Vec<Reading> {
         match self.model(id).learned_rows() {
-            None => asked.keep(observed),
-            Some(rows) => asked.read(LearnedRows::default(), self.reporting(id), observed, rows.next_nanos),
+            None => requested.keep(observed),
+            Some(rows) => requested.read(LearnedRows::default(), self.reporting(id), observed, rows.next_nanos),
         }
     }
 
     /// The readings that all observations of a state represent, learned or not. Both ascend by time. The readings of an
     /// interval need the observations of [`MapView::rows_about`] the interval.
     #[must_use]
-    pub fn observed_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+    pub fn observed_readings(
+        &self,
+        id: StateId,
+        observed: Vec<Reading>,
+        requested: &RequestedReadings,
+    ) -> Vec<Reading> {
         if !self.reporting(id).may_end() {
-            return asked.keep(observed);
+            return requested.keep(observed);
         }
-        asked.read(LearnedRows::default(), self.reporting(id), observed, self.known_to(id))
+        requested.read(LearnedRows::default(), self.reporting(id), observed, self.known_to(id))
     }
 
     /// The readings that pending observations of a state represent, which no update has learned; ascending by time.
     #[must_use]
-    pub fn pending_readings(&self, id: StateId, mut pending: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+    pub fn pending_readings(
+        &self,
+        id: StateId,
+        mut pending: Vec<Reading>,
+        requested: &RequestedReadings,
+    ) -> Vec<Reading> {
         pending.sort_by_key(|(nanos, _)| *nanos);
         if !self.reporting(id).may_end() {
-            return asked.keep(pending);
+            return requested.keep(pending);
         }
         let learned = self.model(id).learned_rows().cloned().unwrap_or_default();
-        asked.read(learned, self.reporting(id), pending, self.known_to(id))
+        requested.read(learned, self.reporting(id), pending, self.known_to(id))
     }
 
     fn reporting(&self, id: StateId) -> Reporting {

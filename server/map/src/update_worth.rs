@@ -4,7 +4,7 @@
 
 use tidemap_model::{Sample, UpdateWorth};
 
-use crate::{history::Reading, ids::StateId, row_samples::AskedReadings, view::MapView};
+use crate::{history::Reading, ids::StateId, row_samples::RequestedReadings, view::MapView};
 
 #[cfg(test)]
 mod tests;
@@ -14,11 +14,11 @@ impl MapView {
     /// [`UpdateWorth`]. At most `readings_max` readings of a state are judged, because rows of changes represent many.
     #[must_use]
     pub fn update_worth(&self, pending: Vec<(StateId, Vec<Reading>)>, readings_max: usize) -> UpdateWorth {
-        let asked = AskedReadings { within_nanos: i64::MIN..i64::MAX, at_most: readings_max };
+        let requested = RequestedReadings { within_nanos: i64::MIN..i64::MAX, at_most: readings_max };
         let mut sample = self.sample_maker();
         let mut worth = UpdateWorth::default();
         for (state, observations) in pending {
-            let readings = self.pending_readings(state, observations, &asked);
+            let readings = self.pending_readings(state, observations, &requested);
             let samples: Vec<Sample> = readings.iter().map(|&(nanos, value)| sample(nanos, value)).collect();
             if let Some(of_state) = UpdateWorth::of_state(self.model(state), &self.spec().periodicities, &samples) {
                 worth.add(&of_state);

@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bar_is_as_long_as_it_says() {
+    fn the_bar_has_the_length_that_it_shows() {
         // 240 pixels are 12 m, so the bar has 10 m: 200 pixels.
         let framed = legend().below(&Canvas::new(600, 1, GREEN));
         let y = 1 + GAP + 3 * ROW + LETTER_HEIGHT / 2;

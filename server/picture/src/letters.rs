@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_letter_looks_different() {
+    fn each_letter_has_another_shape() {
         let mut seen = LETTERS.to_vec();
         seen.sort_unstable();
         seen.dedup();

@@ -65,12 +65,12 @@ fn fastest<T>(mut run: impl FnMut() -> T, repetitions: usize) -> (Duration, T) {
     best.expect("at least one repetition")
 }
 
-fn row(name: &str, nodes: usize, mut asked: Vec<(Duration, RoutePlan)>) {
-    asked.sort_by_key(|(took, _)| *took);
-    let (median, slowest) = (asked[asked.len() / 2].0, asked[asked.len() - 1].0);
-    let labels = asked.iter().map(|(_, routes)| routes.labels).max().unwrap_or(0);
-    let forecasts = asked.iter().map(|(_, routes)| routes.forecasts).max().unwrap_or(0);
-    let worst = asked.iter().map(|(_, routes)| routes.certainty).max().unwrap();
+fn row(name: &str, nodes: usize, mut answers: Vec<(Duration, RoutePlan)>) {
+    answers.sort_by_key(|(took, _)| *took);
+    let (median, slowest) = (answers[answers.len() / 2].0, answers[answers.len() - 1].0);
+    let labels = answers.iter().map(|(_, routes)| routes.labels).max().unwrap_or(0);
+    let forecasts = answers.iter().map(|(_, routes)| routes.forecasts).max().unwrap_or(0);
+    let worst = answers.iter().map(|(_, routes)| routes.certainty).max().unwrap();
     println!(
         "{name:32} {nodes:6} {:>10} {:>10} {labels:8} {forecasts:9} {worst:?}",
         format!("{median:.2?}"),
@@ -102,7 +102,7 @@ fn routes(topology: &Topology, nodes: usize) {
         ("time, arrival", RouteOptions { objective: Objective::Time, ..options }, &arrive, false),
     ];
     for (name, options, when, knows_bounds) in cases {
-        let asked = (0..4)
+        let answers = (0..4)
             .map(|question| {
                 let (from, to) = match question % 2 {
                     0 => (NodeId(0), NodeId(nodes as u32 - 1)),
@@ -113,7 +113,7 @@ fn routes(topology: &Topology, nodes: usize) {
                 fastest(|| plan_routes(topology, from, to, when, &options, &mut rhythms, || false).unwrap(), 5)
             })
             .collect();
-        row(name, nodes, asked);
+        row(name, nodes, answers);
     }
 }
 

@@ -96,10 +96,10 @@ fn exact() {
 
 fn heuristic(map: &Map, seed: u64, budget: Duration) -> SearchPlan {
     let options = SearchOptions { effort: Effort::Heuristic, seed, ..SearchOptions::default() };
-    let (start, mut asked) = (processor_time(), 0_u64);
+    let (start, mut calls) = (processor_time(), 0_u64);
     let until = || {
-        asked += 1;
-        asked.is_multiple_of(32) && processor_time() - start >= budget
+        calls += 1;
+        calls.is_multiple_of(32) && processor_time() - start >= budget
     };
     search(&map.roads(), map.start(), &goals(map), &options, until).unwrap()
 }

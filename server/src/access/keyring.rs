@@ -16,7 +16,7 @@ use super::{
 use crate::clock::{Clock as _, SystemClock};
 
 /// Interval at which work for a token that expires reads the clock, which may also be set.
-const LOOK_EVERY: Duration = Duration::from_secs(2);
+const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 /// A longer text is no token.
 const TOKEN_BYTES_MAX: usize = 256;
 /// The hash with which an unknown token is compared.
@@ -84,7 +84,7 @@ impl Keyring {
         }
     }
 
-    /// Ready when the token of a caller is no longer valid as it was, within [`LOOK_EVERY`] of its end; never for a
+    /// Ready when the token of a caller is no longer valid as it was, within [`CHECK_INTERVAL`] of its end; never for a
     /// caller without one.
     pub(crate) async fn revoked(self, caller: Caller) {
         let Caller::Holder(token) = caller else { return std::future::pending().await };
@@ -98,7 +98,7 @@ impl Keyring {
                 changed = tokens.changed() => if changed.is_err() {
                     return;
                 },
-                () = tokio::time::sleep(LOOK_EVERY), if token.expires_secs.is_some() => {}
+                () = tokio::time::sleep(CHECK_INTERVAL), if token.expires_secs.is_some() => {}
             }
         }
     }

@@ -57,13 +57,13 @@ pub(crate) fn share(
 }
 
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
-/// the writer repeats it while the map is served from the generation before. `tell` is called at intervals with the
+/// the writer repeats it while the map is served from the generation before. `report` is called at intervals with the
 /// number of replayed records and the total; its result decides whether to continue.
 pub(crate) fn restore_map(
     context: &Context,
     id: MapId,
     spec: &Arc<MapSpec>,
-    tell: &dyn Fn(u64, u64) -> bool,
+    report: &dyn Fn(u64, u64) -> bool,
 ) -> Result<RestoredMap, CatalogError> {
     let opened = context.store.open_map(id, spec)?;
     for repair in &opened.repairs {
@@ -72,7 +72,7 @@ pub(crate) fn restore_map(
     let from = opened.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
     let total = (opened.log.end() + 1).saturating_sub(from);
     let mut repeated = UpdateReplay { context, id, spec, unsaved: None, save_above: HISTORY_BYTES };
-    let goes_on = |replayed| tell(replayed, total);
+    let goes_on = |replayed| report(replayed, total);
     let replayed = replay(spec, opened.snapshot, opened.replay, &goes_on, &mut |map, work| repeated.run(map, work))?;
     let ReplayedMap { map, replayed, logged, begun } = replayed;
     let unsaved = repeated.unsaved;

@@ -161,7 +161,7 @@ impl TlsFiles {
 
     /// Sets the metric of the time by which the daemon's certificate has to be replaced: when it, or one after it in
     /// the file, ends.
-    fn tell_end(chain: &[CertificateDer<'static>]) {
+    fn report_end(chain: &[CertificateDer<'static>]) {
         let ends = chain.iter().filter_map(|known| certificate::facts(known)).map(|facts| facts.until_secs);
         if let Some(ends_secs) = ends.min() {
             metrics::gauge!("tidemap_certificate_expiry_seconds").set(ends_secs as f64);
@@ -248,7 +248,7 @@ impl TlsFiles {
         self.check_use(&own, &chain, before)?;
         let config = Arc::new(self.handshakes(protocol, &chain)?);
         if let (Some(before), Some(first)) = (before, chain.first()) {
-            before.tell_lost_names(&own, first);
+            before.report_lost_names(&own, first);
         }
         let issuers = chain.iter().skip(1).filter_map(|issuer| certificate::facts(issuer));
         Ok(InUse {
@@ -285,7 +285,7 @@ impl TlsFiles {
             }
         };
         let mut config = builder.with_single_cert(chain.to_vec(), key).map_err(TlsError::Pair)?;
-        Self::tell_end(chain);
+        Self::report_end(chain);
         config.alpn_protocols = vec![match protocol {
             Protocol::Http2 => b"h2".to_vec(),
             Protocol::Http1 => b"http/1.1".to_vec(),
@@ -324,7 +324,7 @@ impl InUse {
     }
 
     /// Logs the names that the next certificate is not for.
-    fn tell_lost_names(&self, next: &Facts, first: &CertificateDer<'static>) {
+    fn report_lost_names(&self, next: &Facts, first: &CertificateDer<'static>) {
         let kept: Vec<&String> = self.names_kept(next, first).collect();
         let lost: Vec<&str> = self.own.names.iter().filter(|name| !kept.contains(name)).map(String::as_str).collect();
         if !lost.is_empty() {

@@ -50,7 +50,7 @@ struct Leaving {
 #[derive(Default)]
 struct KeepingNotes {
     /// The messages that were logged, so that each is logged once.
-    said: BTreeSet<String>,
+    reported: BTreeSet<String>,
     /// The maps to hand over, by the number of the map.
     leaving: BTreeMap<u64, Leaving>,
     forks_seen: Option<Instant>,
@@ -58,9 +58,9 @@ struct KeepingNotes {
 
 impl KeepingNotes {
     fn warn(&mut self, text: String) {
-        if !self.said.contains(&text) {
+        if !self.reported.contains(&text) {
             warn!("{text}");
-            self.said.insert(text);
+            self.reported.insert(text);
         }
     }
 

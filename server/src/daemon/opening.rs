@@ -34,8 +34,8 @@ pub(super) async fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Resu
     let open = move || open_now(&for_store, disk);
     let store = crate::task::blocking(open).await.map_err(anyhow::Error::from)??;
     close_to_others(&settings.data_dir);
-    telemetry::tell_build(store.store_id());
-    tell_state(&store, &settings.data_dir);
+    telemetry::report_build(store.store_id());
+    report_state(&store, &settings.data_dir);
     Ok(Arc::new(store))
 }
 
@@ -115,7 +115,7 @@ fn close_to_others(folder: &Path) {
 }
 
 /// Writes to the log the opened folder and the state that was found in it.
-fn tell_state(store: &Store, folder: &Path) {
+fn report_state(store: &Store, folder: &Path) {
     let (id, folder) = (store.store_id(), folder.display());
     if store.is_new() {
         info!(

@@ -158,7 +158,7 @@ impl Ports {
         let page = PageAddress { address: http_address, has_tls };
         let shared = shared_maps(settings, catalog)?;
         let services = rpc::serve::services(Arc::clone(catalog), settings, page, shared, stopping.clone()).await;
-        services.health().tell(http::readiness(catalog, false).0).await;
+        services.health().set_ready(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
         crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
         let web = web(&services, &access, settings, stopping.clone())?;

@@ -38,13 +38,13 @@ impl SharedText {
         G: Future<Output = T> + Send + 'static,
         W: FnOnce(T) -> String + Send + 'static,
     {
-        let asked = Instant::now();
+        let requested = Instant::now();
         let last = Arc::clone(&self.0);
         // The task is separate: work that was begun has the lock until it ends.
         let made = crate::task::spawn(async move {
             let mut last = last.lock_owned().await;
             if let Some(made) = last.as_ref() {
-                if made.began >= asked {
+                if made.began >= requested {
                     return Ok(made.text.clone());
                 }
                 tokio::time::sleep_until(made.next).await;
@@ -82,8 +82,8 @@ mod tests {
         };
         let before = ask().await;
         let asking: Vec<_> = (0..50).map(|_| tokio::spawn(ask())).collect();
-        for asked in asking {
-            assert_ne!(asked.await.expect("no panic"), before, "an old text");
+        for waiting in asking {
+            assert_ne!(waiting.await.expect("no panic"), before, "an old text");
         }
         assert!(made.load(Ordering::SeqCst) < 10, "{made:?} texts were made for 51 requests");
     }

@@ -139,7 +139,7 @@ impl AnomalyFeed {
     }
 
     /// Sends the collected observations and scans, after this view has been published.
-    pub(crate) fn tell(&mut self, view: &MapView) {
+    pub(crate) fn send_waiting(&mut self, view: &MapView) {
         let (waiting, scans) = (std::mem::take(&mut self.waiting), std::mem::take(&mut self.waiting_scans));
         if self.sender.receiver_count() + self.scans.receiver_count() == 0 {
             return self.models.clear();

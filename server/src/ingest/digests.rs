@@ -71,7 +71,7 @@ impl Digests {
     }
 
     /// Records that the log contains the result that this replica, as the writer, has appended.
-    pub(crate) fn said(&mut self, logged: UpdateDone) {
+    pub(crate) fn note_logged(&mut self, logged: UpdateDone) {
         self.logged = Some(logged);
     }
 
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_generation_that_the_log_never_says_is_forgotten() {
+    fn a_generation_that_is_never_in_the_log_is_forgotten() {
         let mut digests = Digests::default();
         digests.made(done(1, 5));
         assert_eq!(digests.made(done(2, 6)), None);
@@ -166,11 +166,11 @@ mod tests {
     }
 
     #[test]
-    fn a_writer_owes_the_end_of_its_update_until_the_log_says_it() {
+    fn a_writer_owes_the_end_of_its_update_until_it_is_in_the_log() {
         let mut digests = Digests::new(Some(done(1, 4)));
         digests.made(done(2, 5));
         assert_eq!(digests.owed(), Some(done(2, 5)));
-        digests.said(done(2, 5));
+        digests.note_logged(done(2, 5));
         assert_eq!(digests.owed(), None);
         let status = DigestStatus { generation: 2, digest: Digest(5), is_equal: None };
         assert_eq!(digests.status(), Some(status), "the writer is not compared with itself");

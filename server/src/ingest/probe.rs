@@ -24,17 +24,17 @@ const QUESTIONS: usize = 4;
 
 /// The time at which a stream can receive replies.
 #[derive(Clone, Copy, Debug)]
-enum Hearing {
+enum Reception {
     /// The stream has read everything that has arrived since this time.
     Since(Instant),
     /// The stream waits for the daemon, and reads later.
     Later,
 }
 
-type SharedHearing = Arc<Mutex<Hearing>>;
+type SharedReception = Arc<Mutex<Reception>>;
 
-fn lock(hearing: &SharedHearing) -> MutexGuard<'_, Hearing> {
-    hearing.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(reception: &SharedReception) -> MutexGuard<'_, Reception> {
+    reception.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Probes the client of a stream. Clones probe the same client.
@@ -42,13 +42,13 @@ fn lock(hearing: &SharedHearing) -> MutexGuard<'_, Hearing> {
 pub(crate) struct Probe {
     questions: mpsc::Sender<()>,
     answered: watch::Receiver<Option<Instant>>,
-    hearing: SharedHearing,
+    reception: SharedReception,
 }
 
 impl PartialEq for Probe {
     /// Whether both probe the same stream.
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.hearing, &other.hearing)
+        Arc::ptr_eq(&self.reception, &other.reception)
     }
 }
 
@@ -56,15 +56,15 @@ impl PartialEq for Probe {
 #[derive(Debug)]
 pub(crate) struct Probed {
     answered: watch::Sender<Option<Instant>>,
-    hearing: SharedHearing,
+    reception: SharedReception,
 }
 
 /// A probe, the side of its stream, and the receiver of the probes that the stream has to pass on to its client.
 pub(crate) fn probe() -> (Probe, Probed, mpsc::Receiver<()>) {
-    let (questions, asked) = mpsc::channel(QUESTIONS);
+    let (questions, probes) = mpsc::channel(QUESTIONS);
     let (answered, answers) = watch::channel(None);
-    let hearing = Arc::new(Mutex::new(Hearing::Since(Instant::now())));
-    (Probe { questions, answered: answers, hearing: Arc::clone(&hearing) }, Probed { answered, hearing }, asked)
+    let reception = Arc::new(Mutex::new(Reception::Since(Instant::now())));
+    (Probe { questions, answered: answers, reception: Arc::clone(&reception) }, Probed { answered, reception }, probes)
 }
 
 impl Probed {
@@ -75,11 +75,11 @@ impl Probed {
 
     /// Sets whether the stream waits for the daemon, so that it cannot read a reply.
     pub(crate) fn pause(&self, is_paused: bool) {
-        let mut hearing = lock(&self.hearing);
-        *hearing = match *hearing {
-            _ if is_paused => Hearing::Later,
-            Hearing::Later => Hearing::Since(Instant::now()),
-            since @ Hearing::Since(_) => since,
+        let mut reception = lock(&self.reception);
+        *reception = match *reception {
+            _ if is_paused => Reception::Later,
+            Reception::Later => Reception::Since(Instant::now()),
+            since @ Reception::Since(_) => since,
         };
     }
 }
@@ -102,11 +102,11 @@ impl Probe {
                 Ok(Err(_)) => return false,
                 Err(_) => {}
             }
-            match *lock(&self.hearing) {
-                Hearing::Later => return true,
+            match *lock(&self.reception) {
+                Reception::Later => return true,
                 // The stream has waited meanwhile: the client gets the full time from the end of this wait.
-                Hearing::Since(later) if later > since => since = later,
-                Hearing::Since(_) => return false,
+                Reception::Since(later) if later > since => since = later,
+                Reception::Since(_) => return false,
             }
         }
     }
@@ -117,14 +117,14 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_client_is_there_if_it_answers_or_cannot_be_heard() {
-        let (asked, probed, mut questions) = probe();
-        let asking = asked.clone();
+    async fn a_client_is_there_if_it_answers_or_cannot_be_probed() {
+        let (client_probe, probed, mut questions) = probe();
+        let asking = client_probe.clone();
         let answer = tokio::spawn(async move { asking.is_alive().await });
         questions.recv().await.expect("a question");
         probed.answer();
         assert!(answer.await.expect("no panic"));
-        assert!(asked.is_alive().await, "it has just responded");
+        assert!(client_probe.is_alive().await, "it has just responded");
         assert!(questions.try_recv().is_err(), "and is not probed again");
 
         let [silent, paused, ended] = [(); 3].map(|()| probe());

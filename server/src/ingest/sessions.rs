@@ -108,7 +108,7 @@ impl Session {
     }
 
     /// Sends a message to the stream, if it is still there.
-    fn tell(&self, event: SessionEvent) {
+    fn notify(&self, event: SessionEvent) {
         // When the client is gone, the receiver is gone: nobody needs the message.
         let _ = self.events.send(event);
     }
@@ -345,7 +345,7 @@ impl Sessions {
     /// Ends an open stream and sends it the reason.
     pub(super) fn end(&mut self, id: SessionId, ending: &Ending) {
         if let Some(session) = self.sessions.get_mut(&id).filter(|session| session.open) {
-            session.tell(SessionEvent::End(ending.clone()));
+            session.notify(SessionEvent::End(ending.clone()));
         }
         let announced = self.leave(id);
         self.broken.extend(announced);
@@ -357,9 +357,9 @@ impl Sessions {
     }
 
     /// Sends a message to a stream that is open or has batches in flight.
-    pub(super) fn tell(&self, id: SessionId, event: SessionEvent) {
+    pub(super) fn notify(&self, id: SessionId, event: SessionEvent) {
         if let Some(session) = self.sessions.get(&id) {
-            session.tell(event);
+            session.notify(event);
         }
     }
 

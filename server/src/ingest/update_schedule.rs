@@ -134,12 +134,12 @@ impl UpdateSchedule {
 
     /// Adds updates that the clock or the number of pending observations has made due. Adds none while the start of an
     /// update is in flight, because its observations still count as pending.
-    pub(super) fn look(&mut self, map: &LiveMap, now_nanos: i64) {
+    pub(super) fn check(&mut self, map: &LiveMap, now_nanos: i64) {
         if self.at_midnight {
-            self.look_at_clock(map, now_nanos);
+            self.check_clock(map, now_nanos);
         }
-        self.look_at_waiting_rows(map, now_nanos);
-        self.look_at_pending(map, now_nanos);
+        self.check_waiting_rows(map, now_nanos);
+        self.check_pending(map, now_nanos);
     }
 
     fn due(&mut self, until_nanos: Option<i64>, cause: UpdateCause, now_nanos: i64) {
@@ -154,7 +154,7 @@ impl UpdateSchedule {
 
     /// Adds an update that imported data has made due: a midnight that all announcing streams have passed. Call it
     /// before such a stream ends, because a stream that has ended no longer counts.
-    pub(super) fn look_at_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
+    pub(super) fn check_data(&mut self, map: &LiveMap, sessions: &Sessions, now_nanos: i64) {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
         let open = sessions.data_times().map(|(_, reached)| reached);
@@ -179,7 +179,7 @@ impl UpdateSchedule {
         }
     }
 
-    fn look_at_clock(&mut self, map: &LiveMap, now_nanos: i64) {
+    fn check_clock(&mut self, map: &LiveMap, now_nanos: i64) {
         let zone = &map.spec().zone;
         let midnight = zone.midnight_nanos(zone.day_of(now_nanos));
         let missed = map.pending_received_nanos().is_some_and(|received| received < midnight);
@@ -190,13 +190,13 @@ impl UpdateSchedule {
     }
 
     /// A restart, or another daemon that has become the writer, finds rows that an update has left to the next one.
-    fn look_at_waiting_rows(&mut self, map: &LiveMap, now_nanos: i64) {
+    fn check_waiting_rows(&mut self, map: &LiveMap, now_nanos: i64) {
         if map.waiting_rows() > 0 && !map.is_updating() && self.queue.is_empty() {
             self.due(Some(map.cut_nanos()), UpdateCause::PendingLimit, now_nanos);
         }
     }
 
-    fn look_at_pending(&mut self, map: &LiveMap, now_nanos: i64) {
+    fn check_pending(&mut self, map: &LiveMap, now_nanos: i64) {
         if map.pending_load(self.limits, false) <= 1.0 || map.is_updating() || !self.queue.is_empty() {
             return;
         }

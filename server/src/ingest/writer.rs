@@ -343,10 +343,10 @@ impl Writer {
         // the update that its observations made due.
         let may_update = self.may_update();
         if self.stopping.is_none() && self.appends.failure().is_none() && self.follower.is_writing() {
-            self.updates.schedule.look_at_data(&self.map, &self.sessions, now);
+            self.updates.schedule.check_data(&self.map, &self.sessions, now);
         }
         if may_update {
-            self.updates.schedule.look(&self.map, now);
+            self.updates.schedule.check(&self.map, now);
         }
         self.publish();
         // After `publish`, so that the streams of a failure first receive the acknowledgement of what became durable;
@@ -365,7 +365,7 @@ impl Writer {
         self.continue_editing();
         // Before `start_update`: the end of an update is in the log before the start of the next.
         if self.stopping.is_none() && self.appends.failure().is_none() {
-            self.say_update_end();
+            self.log_update_end();
         }
         // Before the backlog: an update makes room, so a due update goes first. This also holds for appends and for a
         // running update.
@@ -390,10 +390,11 @@ impl Writer {
             self.view.store(Arc::new(self.map.publish()));
             self.shown.send_replace(Shown::of(&self.view.load()));
         }
-        self.feed.tell(&self.view.load());
+        self.feed.send_waiting(&self.view.load());
         self.edits.published();
         for (id, ack) in std::mem::take(&mut self.acks) {
-            self.sessions.tell(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
+            self.sessions
+                .notify(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
         }
         self.updates.published();
         self.follower.published();

@@ -58,8 +58,8 @@ async fn a_model_is_trained_once_however_many_ask_for_it() {
     keep(&cache, key(2), 0.5).await;
     assert_eq!(cache.get(&key(2)).map(|trained| value(&trained)), Some(0.5));
     go.notify_one();
-    for asked in asking {
-        assert_eq!(asked.await.expect("no panic"), Ok(0.25));
+    for waiting in asking {
+        assert_eq!(waiting.await.expect("no panic"), Ok(0.25));
     }
     keep(&cache, key(1), 1.0).await;
     assert_eq!(cache.get(&key(1)).map(|trained| value(&trained)), Some(0.25));
@@ -147,7 +147,7 @@ async fn a_model_that_is_being_trained_is_not_given_up_for_others() {
 }
 
 #[tokio::test]
-async fn a_training_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
+async fn a_training_goes_on_while_anybody_waits_and_never_again_once_stopped() {
     let cache = ModelCache::<CachedModel>::new(3);
     let (one, other) = (cache.interest(key(1)), cache.interest(key(1)));
     let stop = one.training_stop();

@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn many_refusals_are_told_before_their_number_is_durable() {
+    fn many_refusals_are_reported_before_their_number_is_durable() {
         check(0, &[(9000, 0)]);
         check(1000, &[(9000, 1000)]);
         check(1001, &[(7, 1000), (9000, 1)]);

@@ -100,7 +100,7 @@ fn replica_to_wire(status: ReplicaStatus, now: Instant) -> v1::MapReplica {
         epoch: status.epoch,
         position: status.position,
         shared_position: status.shared_position.max(status.position),
-        heard_age: status.heard.map(|heard| duration(nanos(now.saturating_duration_since(heard)))),
+        heard_age: status.last_contact.map(|time| duration(nanos(now.saturating_duration_since(time)))),
         trouble: status.trouble.unwrap_or_default(),
         digest: None,
         forks: Vec::new(),

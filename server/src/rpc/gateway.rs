@@ -62,7 +62,7 @@ use passed_body::{End, PassedBody};
 /// Maximum time that a request waits for a writer that is known and answers.
 const WRITER_WITHIN: Duration = Duration::from_secs(2);
 /// Interval at which the gateway searches for the writer again.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Maximum time that a request waits for a view that shows what its client has seen.
 const SHOWN_WITHIN: Duration = Duration::from_millis(200);
 /// Maximum size of a first message that the gateway reads: no service takes a larger one.
@@ -251,7 +251,7 @@ impl ClusterGateway {
         }
         if !role.is_writing() && !allows_stale {
             let max = self.peers.max_staleness();
-            let is_fresh = self.peers.heard(&handle.spec.name).is_some_and(|heard| heard.elapsed() <= max);
+            let is_fresh = self.peers.last_contact(&handle.spec.name).is_some_and(|time| time.elapsed() <= max);
             if !is_fresh {
                 return Err(GatewayError::Stale { map: map.to_owned(), max });
             }
@@ -309,7 +309,7 @@ impl ClusterGateway {
                 };
                 silent = Some((member, why));
             }
-            if tokio::time::Instant::now() + LOOK_EVERY >= deadline {
+            if tokio::time::Instant::now() + CHECK_INTERVAL >= deadline {
                 count_failure();
                 let map = map.to_owned();
                 return Err(match silent {
@@ -324,7 +324,7 @@ impl ClusterGateway {
                 }
             };
             // An error means that nothing has changed.
-            let _ = tokio::time::timeout(LOOK_EVERY, changed).await;
+            let _ = tokio::time::timeout(CHECK_INTERVAL, changed).await;
         }
     }
 

@@ -180,7 +180,7 @@ mod tests {
     use crate::rpc::permits::Permits;
 
     #[tokio::test]
-    async fn a_slow_reader_is_told_and_not_waited_for() {
+    async fn a_slow_reader_gets_an_error_and_is_not_waited_for() {
         let (sink, ready) = mpsc::channel(1);
         let (replies, mut stream) = mpsc::channel(3);
         let passing = tokio::spawn(async move { pass_on(ready, &replies, Duration::from_millis(20)).await });

@@ -80,7 +80,7 @@ pub(crate) struct Health(HealthReporter);
 
 impl Health {
     /// Sets whether requests are served normally, for the daemon as a whole and for two of its services.
-    pub(crate) async fn tell(&self, is_ready: bool) {
+    pub(crate) async fn set_ready(&self, is_ready: bool) {
         let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
         let observation = <ObservationServiceServer<Observations> as NamedService>::NAME;
         for service in ["", observation, <QueryServiceServer<Queries> as NamedService>::NAME] {
@@ -90,7 +90,7 @@ impl Health {
 }
 
 impl Services {
-    /// The health service. It reports that nothing is served until [`Health::tell`] is called.
+    /// The health service. It reports that nothing is served until [`Health::set_ready`] is called.
     pub(crate) fn health(&self) -> Health {
         self.health.clone()
     }
@@ -128,7 +128,7 @@ pub(crate) async fn services(
 ) -> Services {
     let (health, health_service) = tonic_health::server::health_reporter();
     let health = Health(health);
-    health.tell(false).await;
+    health.set_ready(false).await;
     let shares = Shares::new(ShareLimits::of(settings));
     let peers = shared.as_ref().map(|shared| Arc::clone(&shared.peers));
     let gateway = shared.map(|shared| ClusterGateway::new(Arc::clone(&catalog), shared, stopping.clone()));

@@ -536,7 +536,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clients_of_a_daemon_that_does_not_write_a_map_are_told_to_come_again_and_who_writes_it() {
+    fn clients_of_a_daemon_that_does_not_write_a_map_receive_a_retry_and_the_writer() {
         let writer = Some("b".to_owned());
         let refused = NotWriter { map: MapName::new("office").expect("valid"), writer: writer.clone() };
         let in_flight = AppendError::NotWriter { writer: writer.clone() };

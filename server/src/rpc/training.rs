@@ -30,7 +30,7 @@ use tidemap_grid::spec::Retention;
 use tidemap_map::{
     history::{Reading, Subject},
     ids::StateId,
-    row_samples::AskedReadings,
+    row_samples::RequestedReadings,
     view::MapView,
 };
 use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, models::FlowModel, selector::ModelKind};
@@ -103,8 +103,8 @@ impl LearnedState {
         let mut readings = observed;
         if let StateOrCell::State(id) = self.target {
             let at_most = usize::try_from(max).unwrap_or(usize::MAX).saturating_add(1);
-            let asked = AskedReadings { within_nanos: i64::MIN..i64::MAX, at_most };
-            readings = self.view.learned_readings(id, readings, &asked);
+            let requested = RequestedReadings { within_nanos: i64::MIN..i64::MAX, at_most };
+            readings = self.view.learned_readings(id, readings, &requested);
         }
         match lacking(readings.len() as u64, max) {
             Some(reason) => Err(self.unavailable(kind, reason)),
@@ -216,7 +216,7 @@ impl ModelTrainer {
             let tail = read(handle, &wanted).await?;
             let history = self.catalog.context().store.history(handle.id)?.before(tail.stored_before);
             let (permit, handle) = (self.permits.take().await?, Arc::clone(handle));
-            let asked = AskedReadings { within_nanos: within_nanos.clone(), at_most: enough.saturating_add(1) };
+            let requested = RequestedReadings { within_nanos: within_nanos.clone(), at_most: enough.saturating_add(1) };
             let (view, max) = (Arc::clone(view), self.max_readings);
             let check = move |readings: &[Reading]| {
                 let got = (max - left).saturating_add(readings.len() as u64);
@@ -225,7 +225,7 @@ impl ModelTrainer {
             let read = move |stop: StopSignal<'_>| {
                 let rows = gather(&history, &handle.spec, tail, &wanted, stop)?;
                 check(&rows)?;
-                let readings = view.observed_readings(state, rows, &asked);
+                let readings = view.observed_readings(state, rows, &requested);
                 check(&readings)?;
                 Ok::<_, RpcError>(readings)
             };

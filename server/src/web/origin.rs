@@ -82,10 +82,10 @@ pub(crate) fn is_own(hosts: &KnownHosts, request: &Request) -> bool {
 /// Whether a document of another site fetches the content. Any site may link to it, but no other site may embed it, not
 /// even a picture.
 fn is_embedded(request: &Request) -> bool {
-    let says = |name: &str, word: &str| request.headers().get(name).is_some_and(|value| value == word);
+    let has_header = |name: &str, word: &str| request.headers().get(name).is_some_and(|value| value == word);
     let is_link = request.method() == Method::GET
-        && (says("sec-fetch-mode", "navigate") || !request.uri().path().starts_with("/api/"));
-    says("sec-fetch-site", "cross-site") && !is_link
+        && (has_header("sec-fetch-mode", "navigate") || !request.uri().path().starts_with("/api/"));
+    has_header("sec-fetch-site", "cross-site") && !is_link
 }
 
 /// Refuses requests of pages of other origins.

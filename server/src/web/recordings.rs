@@ -121,7 +121,7 @@ impl Recordings {
 
 /// The routes.
 pub(super) fn router(recordings: Recordings) -> Router {
-    Router::new().route(PATH, get(look).post(upload)).with_state(recordings)
+    Router::new().route(PATH, get(check).post(upload)).with_state(recordings)
 }
 
 /// A file that will be taken.
@@ -185,9 +185,13 @@ fn program() -> Result<PathBuf, UploadError> {
 }
 
 /// Reports whether a file would be taken, so that nobody sends gigabytes that are refused.
-async fn look(State(recordings): State<Recordings>, Path(names): Path<(String, String)>, request: Request) -> Response {
+async fn check(
+    State(recordings): State<Recordings>,
+    Path(names): Path<(String, String)>,
+    request: Request,
+) -> Response {
     let (head, _) = request.into_parts();
-    let looked = async {
+    let checked = async {
         let given = Given::of(head.uri.query(), PARAMETERS)?;
         let bytes = match given.get("bytes").map(str::parse) {
             None => 0,
@@ -196,7 +200,7 @@ async fn look(State(recordings): State<Recordings>, Path(names): Path<(String, S
         };
         recordings.0.admit(names, &head, bytes).await
     };
-    match looked.await {
+    match checked.await {
         Ok(upload) => {
             let max_bytes = recordings.0.max_bytes.to_string();
             let found = json!({ "mapExists": upload.map_exists, "file": upload.file, "maxUploadBytes": max_bytes });

@@ -50,8 +50,8 @@ impl PageFile {
         Ok(PageFile { content_type, plain: plain.into(), gzip: gzip.finish()?.into() })
     }
 
-    fn answer(&self, asked: &HeaderMap) -> Response {
-        let is_gzip = accepts_gzip(asked);
+    fn answer(&self, headers: &HeaderMap) -> Response {
+        let is_gzip = accepts_gzip(headers);
         let content = if is_gzip { &self.gzip } else { &self.plain };
         let mut response = reply(StatusCode::OK, self.content_type, Body::from(content.clone()));
         let headers = response.headers_mut();

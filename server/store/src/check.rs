@@ -150,7 +150,7 @@ pub fn check_with(directory: &Path, mode: Mode, restore: &TryRestore<'_>) -> Res
         let reason = "there is none: this is no data directory of tidemapd".to_owned();
         return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
     };
-    let lock = Lock::look(directory)?;
+    let lock = Lock::take_to_read(directory)?;
     let checked =
         Checked { format: manifest.format, newest_format: FORMAT, store_id: manifest.store_id, ..Checked::default() };
     let mut check = Check { directory, disk: Arc::new(RealDisk), mode, restore, checked };
@@ -219,7 +219,7 @@ impl Check<'_> {
 
     /// The maps that can be read; finds what is wrong with the others.
     fn maps(&mut self) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
-        let found = catalogue::look(&*self.disk, self.directory)?;
+        let found = catalogue::read_only(&*self.disk, self.directory)?;
         let (disk, directory) = (Arc::clone(&self.disk), self.directory);
         let file = directory.join(MAPS_FILE);
         if let Err(problem) = self.list::<MapList>(&file) {

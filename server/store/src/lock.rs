@@ -22,7 +22,7 @@ const FILE_NAME: &str = "LOCK";
 /// The lock, held until it is dropped.
 pub(crate) struct Lock {
     path: PathBuf,
-    /// Open as long as the lock is held; none where `look` found none.
+    /// Open as long as the lock is held; none where `take_to_read` found none.
     file: Option<File>,
     _directory: File,
 }
@@ -34,7 +34,7 @@ impl Lock {
     }
 
     /// Takes the lock of a data directory to read it; makes no file where there is none.
-    pub(crate) fn look(directory: &Path) -> Result<Lock, OpenError> {
+    pub(crate) fn take_to_read(directory: &Path) -> Result<Lock, OpenError> {
         Lock::new(directory, false)
     }
 

@@ -57,7 +57,7 @@ impl Store {
 impl Round<'_> {
     fn run(&mut self) -> Result<(), Ended> {
         let list = self.store.directory.join(MAPS_FILE);
-        self.look(&list, |round| {
+        self.check_file(&list, |round| {
             let read = list_file::read::<MapList>(&*round.store.disk, &list);
             read.map(drop).map_err(Unlisted::problem)
         })?;
@@ -72,7 +72,7 @@ impl Round<'_> {
 
     /// Checks a file with `check`, again if that fails, and records the result. A file that cannot be opened for want
     /// of descriptors or memory is left for the next round.
-    fn look(&mut self, file: &Path, check: impl Fn(&mut Self) -> Result<(), String>) -> Result<(), Ended> {
+    fn check_file(&mut self, file: &Path, check: impl Fn(&mut Self) -> Result<(), String>) -> Result<(), Ended> {
         let opened = self.store.disk.read(file).map(drop);
         if opened.as_ref().is_err_and(is_shortage) {
             return Ok(());
@@ -82,11 +82,11 @@ impl Round<'_> {
         if self.has_ended {
             return Err(Ended);
         }
-        self.tell(file, checked.err());
+        self.report(file, checked.err());
         Ok(())
     }
 
-    fn tell(&mut self, file: &Path, problem: Option<String>) {
+    fn report(&mut self, file: &Path, problem: Option<String>) {
         let file = file.strip_prefix(&self.store.directory).unwrap_or(file).to_owned();
         if problem.is_some() {
             self.damaged.insert(file.clone());
@@ -114,11 +114,11 @@ impl Round<'_> {
             // The map was deleted.
             Err(_) if !self.is_there(map) => return Ok(()),
             Err(error) => {
-                self.tell(&history.list_path(), Some(error.to_string()));
+                self.report(&history.list_path(), Some(error.to_string()));
                 return Ok(());
             }
         };
-        self.tell(&history.list_path(), None);
+        self.report(&history.list_path(), None);
         for listed in listed {
             let file = history.folder.join(&listed.name);
             // Listed no longer: it was deleted on purpose.
@@ -127,7 +127,7 @@ impl Round<'_> {
                 continue;
             }
             let known = (listed.length, listed.total_crc);
-            self.look(&file, |round| match round.total(&file) {
+            self.check_file(&file, |round| match round.total(&file) {
                 Ok(total) if total == known => Ok(()),
                 Ok(_) => Err("it is not the file that the list names".to_owned()),
                 Err(problem) => Err(problem),
@@ -140,7 +140,7 @@ impl Round<'_> {
     fn checkpoints(&mut self, map: MapId) -> Result<(), Ended> {
         let folder = folders::checkpoints_folder(&self.store.directory, map);
         let list = self.store.checkpoints(map).list_path();
-        self.look(&list, |round| {
+        self.check_file(&list, |round| {
             let listed = round.store.checkpoints(map).listed();
             listed.map(drop).map_err(Unlisted::problem)
         })?;
@@ -153,7 +153,7 @@ impl Round<'_> {
         positions.dedup();
         for position in positions {
             let file = self.store.checkpoints(map).path(position);
-            self.look(&file, |round| round.total(&file).map(drop))?;
+            self.check_file(&file, |round| round.total(&file).map(drop))?;
             // An older checkpoint is deleted when a newer one is written; before, it is listed no longer.
             let names = self.store.disk.list(&folder).unwrap_or_default();
             let is_there = names.iter().any(|name| file.file_name().is_some_and(|file| file == name.as_str()));
@@ -188,12 +188,12 @@ impl Round<'_> {
         // Read after the names: a segment is listed no longer before it is deleted.
         let begin = self.store.checkpoints(map).listed().map_or(u64::MAX, |list| list.first_record);
         if known.first().is_some_and(|&first| begin < first) {
-            self.tell(&segment_path(&folder, begin), Some("it is missing".to_owned()));
+            self.report(&segment_path(&folder, begin), Some("it is missing".to_owned()));
         }
         for (place, &first) in known.iter().enumerate() {
             let last = known.get(place + 1).map_or(end, |next| next - 1).min(end);
             let file = segment_path(&folder, first);
-            self.look(&file, |round| round.segment(map, &file, first, last))?;
+            self.check_file(&file, |round| round.segment(map, &file, first, last))?;
             // Segments that checkpoints cover are deleted, the oldest first.
             let now = self.store.disk.list(&folder).unwrap_or_default();
             let oldest = now.iter().find_map(|name| segment_position(name)).unwrap_or(u64::MAX);
@@ -205,7 +205,7 @@ impl Round<'_> {
     /// Checks the list of the newest segment.
     fn newest_listed(&mut self, map: MapId, folder: &Path) -> Result<(), Ended> {
         let list = folder.join(NEWEST_FILE);
-        self.look(&list, |round| {
+        self.check_file(&list, |round| {
             let listed = list_file::read::<NewestSegment>(&*round.store.disk, &list).map_err(Unlisted::problem)?;
             let segment = segment_path(folder, listed.first_position);
             match round.store.disk.length(&segment) {
@@ -266,7 +266,7 @@ impl Round<'_> {
         }
         let checked = self.store.index().check(map.0);
         let problem = checked.err().map(|failure| format!("the rows of map number {}: {failure}", map.0));
-        self.tell(&PathBuf::from(format!("index/{}", map.0)), problem);
+        self.report(&PathBuf::from(format!("index/{}", map.0)), problem);
         Ok(())
     }
 

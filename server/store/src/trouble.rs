@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn trouble_is_told_until_it_ends() {
+    fn trouble_is_reported_until_it_ends() {
         let watch = Watch::default();
         assert_eq!(watch.trouble(), []);
         watch.appended(true);

@@ -128,7 +128,7 @@ fn anomalies_are_the_observations_that_predictions_of_their_times_contradict() {
 }
 
 #[test]
-fn misuse_of_anomalies_is_told() {
+fn misuse_of_anomalies_is_an_error() {
     let Some(door) = Door::new("Europe/London") else { return };
     let rows = "time,state,value\n1451865600,door,1\n";
     assert_eq!(cli::tidemap_reading(&door.daemon, ["observe", "door", "-"], rows).table().number("accepted"), 1.0);

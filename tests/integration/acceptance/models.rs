@@ -28,7 +28,7 @@ fn errors_of(door: &Door, models: &str) -> Vec<(String, f64)> {
 }
 
 #[test]
-fn models_of_the_literature_tell_the_door_as_well_as_the_reference() {
+fn models_of_the_literature_predict_the_door_as_well_as_the_reference() {
     let Some(door) = Door::new("Europe/London") else { return };
     door.learn();
     let found = errors_of(&door, "mean,histogram:24,spectral,pergam:5,calibrated,histogram:week,histogram");
@@ -98,7 +98,7 @@ fn evaluate(door: &Door, map: &str, states: &[&str], models: &str) -> cli::Outco
 }
 
 #[test]
-fn a_model_that_is_not_there_is_left_out_and_said_so() {
+fn a_model_that_is_not_there_is_left_out_with_a_notice() {
     let Some(door) = Door::new("Europe/London") else { return };
     let states = ["a", "b", "c", "d", "e", "f", "g"];
     observe(&door, "door", &states);
@@ -124,8 +124,8 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
         assert!(all.stderr.contains(&format!("{model} is left out of a")), "{model}: {}", all.stderr);
     }
     evaluate(&door, "short", &states[..1], "pergam,mean").fails(1, &["pergam:3", "keeps none", "retention"]);
-    let asked = door.tidemap(["predict", "short", "a", "--at", "1460000000", "--model", "calibrated"]);
-    asked.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "retention"]);
+    let outcome = door.tidemap(["predict", "short", "a", "--at", "1460000000", "--model", "calibrated"]);
+    outcome.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "retention"]);
 }
 
 #[test]

@@ -56,8 +56,8 @@ async fn rows_that_are_wrong_are_refused_one_by_one() {
     let words: Vec<&str> = rows.iter().map(|&(_, word)| word).filter(|word| !word.is_empty()).collect();
     outcome.fails(1, &words);
     for (number, (row, word)) in (1..).zip(&rows) {
-        let said = outcome.stderr.contains(&format!("row {number} "));
-        assert_eq!(said, !word.is_empty(), "row {number}, {row:?}:\n{}", outcome.stderr);
+        let is_named = outcome.stderr.contains(&format!("row {number} "));
+        assert_eq!(is_named, !word.is_empty(), "row {number}, {row:?}:\n{}", outcome.stderr);
     }
     assert_eq!(outcome.table_with(1).rows, [["20", "3", "0", "17"]]);
     assert_eq!(states(&daemon).await, ["door", "gate"]);

@@ -125,7 +125,7 @@ async fn malformed_columns_name_the_column() {
         check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &[field]);
     }
     let mut stream = opened(&daemon).await;
-    stream.say(Message::Batch(ObservationBatch { first_sequence: 1, observations: None })).await;
+    stream.send_message(Message::Batch(ObservationBatch { first_sequence: 1, observations: None })).await;
     check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["observations"]);
     let mut stream = opened(&daemon).await;
     stream.batch(0, good()).await;
@@ -194,7 +194,7 @@ async fn a_stream_begins_with_one_hello() {
     let mut stream = opened(&daemon).await;
     stream.batch(1, no_columns(2)).await;
     stream.acknowledged(2).await.expect("taken");
-    stream.say(Message::Hello(hello("robot", "office"))).await;
+    stream.send_message(Message::Hello(hello("robot", "office"))).await;
     check(stream.end().await, Some(GoodbyeReason::Invalid), Code::InvalidArgument, &["Hello", "batch"]);
     goes_on(&daemon, 2).await;
 }

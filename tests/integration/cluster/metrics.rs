@@ -15,7 +15,7 @@ async fn until_value(daemon: &Daemon, series: &str, expected: f64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_say_who_writes_who_is_gone_and_that_the_engine_is_silent() {
+async fn metrics_show_who_writes_who_is_gone_and_that_the_engine_is_silent() {
     let mut engine = match NatsServers::start(1).await {
         Ok(engine) => engine,
         Err(reason) => return println!("SKIPPED: {reason}"),
@@ -50,8 +50,8 @@ async fn metrics_say_who_writes_who_is_gone_and_that_the_engine_is_silent() {
     assert!(value(members.of(&writer), "tidemap_cluster_append_seconds_count") >= Some(1.0));
     assert_eq!(value(members.of(follower), "tidemap_cluster_append_seconds_count"), Some(0.0));
     until_value(members.of(follower), "tidemap_cluster_lag_records", 0.0).await;
-    let heard = value(members.of(follower), "tidemap_cluster_heard_age_seconds");
-    assert!(heard.is_some_and(f64::is_finite), "{heard:?}");
+    let contact_age = value(members.of(follower), "tidemap_cluster_heard_age_seconds");
+    assert!(contact_age.is_some_and(f64::is_finite), "{contact_age:?}");
 
     // The follower takes the map, and is then left without the other one, and without the engine.
     let line = format!("cluster move office {follower}");

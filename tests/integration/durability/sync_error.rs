@@ -52,7 +52,7 @@ async fn durability_after_a_failed_sync_nothing_is_acknowledged_and_the_daemon_e
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn durability_every_open_stream_hears_the_reason_before_the_daemon_ends() {
+async fn durability_every_open_stream_receives_the_reason_before_the_daemon_ends() {
     if let Err(reason) = can_trace() {
         return println!("SKIPPED: {reason}");
     }

@@ -16,7 +16,7 @@ fn observe_as(daemon: &Daemon, producer: &str, text: &str) -> Outcome {
 }
 
 /// Three weeks with an update after each, and two days that are pending; the lost robot saw the door, and a bed.
-fn tell_both(daemon: &Daemon, models: &str, with_lost: bool) {
+fn send_both(daemon: &Daemon, models: &str, with_lost: bool) {
     tidemap(daemon, ["map", "create", "home", "--models", models]).table();
     for (days, is_learned) in [(7, true), (14, true), (DAYS, true), (DAYS + 2, false)] {
         observe_as(daemon, "good", &door(0..days)).table();
@@ -53,9 +53,9 @@ async fn a_lost_robot_is_withdrawn_as_if_it_had_never_been() {
     let [data, other, saved] = [(); 3].map(|()| tempdir().expect("a folder"));
     let launch = Launch::on(data.path());
     let daemon = launch.start();
-    tell_both(&daemon, "all", true);
+    send_both(&daemon, "all", true);
     let never = Launch::on(other.path()).start();
-    tell_both(&never, "all", false);
+    send_both(&never, "all", false);
     assert!(!holding(data.path(), &lost_marks()).is_empty(), "there is nothing to erase");
     let count = (DAYS + 2) * 48 * 2;
 
@@ -96,7 +96,7 @@ async fn a_kill_while_a_robot_is_withdrawn_leaves_it_withdrawn_or_not() {
     let data = tempdir().expect("a folder");
     let launch = Launch::on(data.path());
     let mut daemon = launch.start();
-    tell_both(&daemon, "calibrated", true);
+    send_both(&daemon, "calibrated", true);
     let before = of_door(&daemon).await.0;
     let mut after = None;
     let mut completed = 0;

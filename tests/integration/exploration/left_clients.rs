@@ -92,8 +92,8 @@ async fn work_stops_when_its_client_leaves() {
         ..Default::default()
     };
     let mut client = exploring();
-    let asked = day.clone();
-    leave(&daemon, "a day of tours", async move { client.plan_day(asked).await }).await;
+    let request = day.clone();
+    leave(&daemon, "a day of tours", async move { client.plan_day(request).await }).await;
 
     let model =
         v1::ModelSelector { kind: v1::ModelKind::HypertimeEm.into(), parameter: Some(50), ..Default::default() };

@@ -87,7 +87,7 @@ fn one_look_informs_about_all_rooms() {
 }
 
 #[test]
-fn a_map_without_history_says_so() {
+fn a_map_without_history_is_refused_with_the_reason() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "flat", "--retention", "none"]).table();

@@ -85,7 +85,7 @@ fn base64(text: &str) -> Vec<u8> {
 }
 
 #[test]
-fn a_recording_has_what_is_asked_for_and_replaces_a_file_only_when_it_is_complete() {
+fn a_recording_has_what_is_requested_and_replaces_a_file_only_when_it_is_complete() {
     let home = Home::new();
     let (path, counts) = home.export("part.mcap", &["--at", NOON, "--content", "states", "--state", "d*"]);
     assert_eq!(counts, BTreeMap::from([("states".to_owned(), 1.0)]));

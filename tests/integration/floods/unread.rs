@@ -114,7 +114,7 @@ async fn unread_replies_with_tls_take_little_memory_too() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reply_that_nobody_reads_ends_and_is_told() {
+async fn a_reply_that_nobody_reads_ends_and_is_reported() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     let mut socket = connect_from(SOURCES[0], &daemon.http).await.expect("a connection");

@@ -130,14 +130,14 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
     let mut stream = opened(&daemon).await;
     let mut occupied = [0; 64];
     occupied[0] = 0b1000;
-    stream.say(Message::Scans(message(1, &[0, 0, 0, 1, 0, 0], vec![shows(&occupied)]))).await;
+    stream.send_message(Message::Scans(message(1, &[0, 0, 0, 1, 0, 0], vec![shows(&occupied)]))).await;
     assert_eq!(stream.acknowledged(1).await.expect("taken"), []);
     // The scans are sent one by one, and then all in one message with a good scan at its end.
     let mut sequence = 1;
     for (content, reason, words) in wrong() {
         sequence += 1;
         let what = format!("{content:?}");
-        stream.say(Message::Scans(message(sequence, &[], vec![content]))).await;
+        stream.send_message(Message::Scans(message(sequence, &[], vec![content]))).await;
         let refused = stream.acknowledged(sequence).await.expect("the stream goes on");
         assert_eq!(refused.len(), 1, "{what} should be refused");
         assert_eq!((refused[0].sequence, refused[0].reason()), (sequence, reason), "{what}: {refused:?}");
@@ -154,7 +154,7 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
     occupied[0] = 0b10_1000;
     let good = tiles(TileScan { seen: vec![0, 2], masked: vec![0, 1], observed, occupied, ..TileScan::default() });
     let last = sequence + count + 1;
-    stream.say(Message::Scans(message(sequence + 1, &[], all.into_iter().chain([good]).collect()))).await;
+    stream.send_message(Message::Scans(message(sequence + 1, &[], all.into_iter().chain([good]).collect()))).await;
     let refused = stream.acknowledged(last).await.expect("the stream goes on");
     let numbers: Vec<u64> = refused.iter().map(|refusal| refusal.sequence).collect();
     assert_eq!(numbers, (sequence + 1..last).collect::<Vec<u64>>());
@@ -185,15 +185,15 @@ async fn grid_scans_that_are_wrong_are_refused_one_by_one() {
 async fn grid_scans_and_observations_share_one_sequence() {
     let (_data, daemon) = office(small()).await;
     let mut stream = opened(&daemon).await;
-    stream.say(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64]), shows(&[1; 64])]))).await;
+    stream.send_message(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64]), shows(&[1; 64])]))).await;
     stream.batch(3, columns(&["door"], &[(0, NOON_NANOS, 1.0)])).await;
-    stream.say(Message::Scans(message(4, &[], vec![shows(&[0; 64])]))).await;
+    stream.send_message(Message::Scans(message(4, &[], vec![shows(&[0; 64])]))).await;
     assert_eq!(stream.acknowledged(4).await.expect("taken"), []);
     // All scans again, as after a broken connection.
-    stream.say(Message::Scans(message(1, &[], vec![shows(&[0; 64]), shows(&[1; 64])]))).await;
+    stream.send_message(Message::Scans(message(1, &[], vec![shows(&[0; 64]), shows(&[1; 64])]))).await;
     let door = Some(columns(&[], &[(0, NOON_NANOS, 1.0)]));
-    stream.say(Message::Batch(ObservationBatch { first_sequence: 3, observations: door })).await;
-    stream.say(Message::Scans(message(4, &[], vec![shows(&[0; 64]), shows(&[2; 64])]))).await;
+    stream.send_message(Message::Batch(ObservationBatch { first_sequence: 3, observations: door })).await;
+    stream.send_message(Message::Scans(message(4, &[], vec![shows(&[0; 64]), shows(&[2; 64])]))).await;
     assert_eq!(stream.acknowledged(5).await.expect("taken"), []);
     let map = daemon.client().map(MAP).await.expect("the map");
     assert_eq!((map.observations, summary(&daemon).await.scans), (1, 4));

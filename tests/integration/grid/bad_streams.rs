@@ -138,15 +138,15 @@ async fn grid_messages_that_are_wrong_end_the_stream_and_nothing_of_them_is_kept
         // Each with its own producer, so that each begins anew.
         let hello = hello(&format!("robot-{number}"), MAP);
         let mut stream = RawStream::open(&daemon.grpc, hello).await.expect("a Welcome").0;
-        stream.say(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64])]))).await;
+        stream.send_message(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64])]))).await;
         assert_eq!(stream.acknowledged(1).await.expect("taken"), [], "{what}");
         for message in messages {
-            stream.say(message).await;
+            stream.send_message(message).await;
         }
         check(stream, what, ending).await;
         // Other streams are not affected.
         let tiles: &[i32] = if number == 1 { &[0, 0, 0] } else { &[] };
-        neighbour.say(Message::Scans(message(number, tiles, vec![shows(&[0; 64])]))).await;
+        neighbour.send_message(Message::Scans(message(number, tiles, vec![shows(&[0; 64])]))).await;
         assert_eq!(neighbour.acknowledged(number).await.expect("a stream goes on"), [], "{what}");
         expected += 2;
         assert_eq!(summary(&daemon).await.scans, expected, "{what}");
@@ -159,7 +159,7 @@ async fn grid_messages_that_are_wrong_end_the_stream_and_nothing_of_them_is_kept
 async fn grid_message_over_the_limit_of_bytes_ends_the_stream() {
     let (_data, daemon) = limited().await;
     let mut stream = opened(&daemon).await;
-    stream.say(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64])]))).await;
+    stream.send_message(Message::Scans(message(1, &[0, 0, 0], vec![shows(&[0; 64])]))).await;
     stream.acknowledged(1).await.expect("taken");
     let huge = Content::Tiles(TileScan { seen: vec![0, 1], occupied: vec![7; 40_000], ..TileScan::default() });
     let request = ObserveRequest { message: Some(Message::Scans(message(2, &[], vec![huge]))) };
@@ -182,8 +182,8 @@ async fn grid_scan_whose_parts_come_one_by_one_counts_when_it_is_whole() {
         message(1, &[], vec![Content::Cloud(elsewhere)])
     };
     let first = message(1, &[], vec![Content::Cloud(cloud(&[1.0, 0.0, 0.0]))]);
-    stream.say(Message::Scans(part(first.clone()))).await;
-    stream.say(Message::Scans(part(piece(&[0.0, 1.0, 0.0])))).await;
+    stream.send_message(Message::Scans(part(first.clone()))).await;
+    stream.send_message(Message::Scans(part(piece(&[0.0, 1.0, 0.0])))).await;
     assert_eq!(summary(&daemon).await.scans, 0, "it is not whole");
     // The stream breaks in the middle of the scan: nothing of it is kept.
     drop(stream);
@@ -191,8 +191,8 @@ async fn grid_scan_whose_parts_come_one_by_one_counts_when_it_is_whole() {
     let daemon = Launch::on(data.path()).start();
     let (mut stream, welcome) = RawStream::open(&daemon.grpc, hello("robot", MAP)).await.expect("a Welcome");
     assert_eq!((welcome.durable_sequence, summary(&daemon).await.scans), (0, 0));
-    stream.say(Message::Scans(part(first))).await;
-    stream.say(Message::Scans(piece(&[0.0, 1.0, 0.0]))).await;
+    stream.send_message(Message::Scans(part(first))).await;
+    stream.send_message(Message::Scans(piece(&[0.0, 1.0, 0.0]))).await;
     assert_eq!(stream.acknowledged(1).await.expect("taken"), []);
     let latest = super::model(tidemap_client::queries::ModelKind::Latest, None);
     let grid = super::predicted(&daemon, 1_741_000_000_000_000_000, latest).await;

@@ -131,7 +131,7 @@ async fn flushed(producer: &mut Producer) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn grid_without_history_says_so_and_names_the_option() {
+async fn grid_without_history_gives_an_error_that_names_the_option() {
     let film = Film::new(1, 10);
     let (_data, daemon) = office(grid(Retention::None)).await;
     let mut camera = producer(&daemon, "camera").await;

@@ -38,8 +38,8 @@ pub(crate) fn run(command: &mut Command) -> Result<String, String> {
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
-    let said = String::from_utf8_lossy(&output.stderr);
-    Err(format!("{}: {}", command.get_program().display(), said.trim().lines().last().unwrap_or_default()))
+    let printed = String::from_utf8_lossy(&output.stderr);
+    Err(format!("{}: {}", command.get_program().display(), printed.trim().lines().last().unwrap_or_default()))
 }
 
 /// Python with a package, or the reason why it is missing.
@@ -100,9 +100,9 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
     let words = ["grid", "predict", MAP, "--at", &format_rfc3339(at), "--model", "mean", "--out", out];
     cli::tidemap(&daemon, words).table();
 
-    let said = run(Command::new(python).current_dir(data.path()).args(["-c", SCRIPT, "office"]));
-    let said = said.unwrap_or_else(|reason| panic!("the reader does not take the files: {reason}"));
-    let mut lines = said.lines();
+    let printed = run(Command::new(python).current_dir(data.path()).args(["-c", SCRIPT, "office"]));
+    let printed = printed.unwrap_or_else(|reason| panic!("the reader does not take the files: {reason}"));
+    let mut lines = printed.lines();
     let numbers = lines.next().expect("a first line").split(' ').map(|n| n.parse().expect("a number"));
     let numbers: Vec<f64> = numbers.collect();
     let region = expected.header.region;

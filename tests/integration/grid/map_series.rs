@@ -140,7 +140,7 @@ async fn a_map_comes_out_as_it_came_in() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_the_cells_that_are_asked_for_are_counted() {
+async fn only_the_requested_cells_are_counted() {
     let data = tempfile::tempdir().expect("a folder");
     // Tiles of a grid that is not flat have 512 cells; the map has one layer of them.
     let daemon = Launch::on(data.path()).setting("max_predictions", 100_000).start();

@@ -178,7 +178,7 @@ impl Naive {
     /// The default prediction: near the mean at hours that were hardly observed.
     pub(crate) fn answer(&self, utc_nanos: i64) -> f64 {
         let hour = hour(utc_nanos);
-        let looks = self.looks_that_speak(kind_of_day(hour / 24), hour as usize % 24);
+        let looks = self.counted_looks(kind_of_day(hour / 24), hour as usize % 24);
         // Rounds as the daemon stores it: in sixteenths of a doubling.
         let looks = ((((1.0 + 4.0 * looks).log2() * 16.0).min(254.0).floor() / 16.0).exp2() - 1.0) / 4.0;
         let kept =
@@ -188,8 +188,8 @@ impl Naive {
     }
 
     /// The number of bins of an hour, with the evidence from bins of nearby hours and of the other kind of day.
-    fn looks_that_speak(&self, kind: usize, hour: usize) -> f64 {
-        let mut speak = self.hours[kind][hour];
+    fn counted_looks(&self, kind: usize, hour: usize) -> f64 {
+        let mut counted = self.hours[kind][hour];
         for (other_kind, hours) in self.hours.iter().enumerate() {
             for (other, looks) in hours.iter().enumerate() {
                 let apart = other.abs_diff(hour).min(24 - other.abs_diff(hour));
@@ -197,11 +197,11 @@ impl Naive {
                 let share = if other_kind == kind { near } else { near * 0.6 };
                 if (other_kind, other) != (kind, hour) {
                     let share = f64::min(share * looks / (looks + 1.0), 0.95);
-                    speak += share / (1.0 - share);
+                    counted += share / (1.0 - share);
                 }
             }
         }
-        speak
+        counted
     }
 
     /// The default prediction with the last reading blended in.

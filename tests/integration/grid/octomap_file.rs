@@ -50,9 +50,9 @@ async fn grid_written_as_octomap_is_read_by_octomap_as_it_was_meant() {
         let out = out.to_str().expect("a path of text");
         let words = ["grid", "predict", MAP, "--at", &time, "--model", "mean", "--out", out];
         cli::tidemap(&daemon, words.iter().chain(options)).table();
-        let said = run(Command::new(&python).current_dir(data.path()).args(["-c", SCRIPT, "office.bt"]));
-        let said = said.unwrap_or_else(|reason| panic!("OctoMap does not take the file: {reason}"));
-        let mut lines = said.lines().map(|line| line.split(' ').map(|n| n.parse::<f64>().expect("a number")));
+        let printed = run(Command::new(&python).current_dir(data.path()).args(["-c", SCRIPT, "office.bt"]));
+        let printed = printed.unwrap_or_else(|reason| panic!("OctoMap does not take the file: {reason}"));
+        let mut lines = printed.lines().map(|line| line.split(' ').map(|n| n.parse::<f64>().expect("a number")));
         let resolution = lines.next().and_then(|mut numbers| numbers.next());
         assert_eq!(resolution, Some(0.1));
 

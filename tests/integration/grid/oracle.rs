@@ -88,13 +88,14 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
     for (at, (&cell, readings)) in sent.readings.iter().enumerate() {
         let name = &names[at];
         let expected = Naive::new(readings, cut_nanos, &sent.phasors);
-        let said = client.describe_model(MAP, name).await.expect("a cell");
-        assert_eq!(said.learned_observations, expected.folded, "{name}");
-        assert_eq!(said.last_nanos, expected.last.map(|(time, _)| time), "{name}");
-        let values = [said.last_value, expected.last.map(|(_, value)| value)].map(|value| value.unwrap_or(f64::NAN));
+        let model_state = client.describe_model(MAP, name).await.expect("a cell");
+        assert_eq!(model_state.learned_observations, expected.folded, "{name}");
+        assert_eq!(model_state.last_nanos, expected.last.map(|(time, _)| time), "{name}");
+        let values =
+            [model_state.last_value, expected.last.map(|(_, value)| value)].map(|value| value.unwrap_or(f64::NAN));
         near(values[0], values[1], &format!("the last value of {name}"));
-        near(said.mean, expected.mean, &format!("the mean of {name}"));
-        near(said.persistence_tau_secs / expected.tau_secs, 1.0, &format!("τ of {name} by what it should be"));
+        near(model_state.mean, expected.mean, &format!("the mean of {name}"));
+        near(model_state.persistence_tau_secs / expected.tau_secs, 1.0, &format!("τ of {name} by what it should be"));
         for (at_time, &time) in times.iter().enumerate() {
             let answer = |selector: usize| answers[selector][at * times.len() + at_time];
             let what = |kind: &str| format!("{kind} of {name} at {time}");
@@ -113,8 +114,8 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
         }
         compared += 1;
         orders += usize::from(expected.order > 0);
-        assert_eq!(said.order as usize, expected.order, "the order of {name}, by errors {:?}", expected.errors);
-        for (found, expected) in said.order_errors.iter().zip(expected.errors) {
+        assert_eq!(model_state.order as usize, expected.order, "the order of {name}, by errors {:?}", expected.errors);
+        for (found, expected) in model_state.order_errors.iter().zip(expected.errors) {
             // The daemon predicts the scans of one half-hour bin at their mean time.
             let apart = (found - expected).abs() / (1.0 + expected);
             assert!(apart <= 1e-3, "an error of {name} is {found}, and not {expected}");
@@ -194,14 +195,14 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
     for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
         let announced = |sensor| Some(sensor).filter(|_| from == i64::MIN);
         // In the second round the robot does not declare its sensor.
-        for (name, says, is, scans) in [
+        for (name, given, is, scans) in [
             ("camera", None, own, &whole),
             ("robot", announced(weak), weak, &part),
             ("inspector", Some(sharp), sharp, &late),
         ] {
             let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
             sent.note(&film, &of_round, levels(is, 0.4));
-            let mut producer = with_sensor(&daemon, name, says).await.expect("a Welcome");
+            let mut producer = with_sensor(&daemon, name, given).await.expect("a Welcome");
             send(&mut producer, of_round).await;
         }
         // Pending scans are read from the log, and in the second round from a checkpoint too.
@@ -236,17 +237,17 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
     }
 
     // The sensor of a producer cannot change.
-    for (name, says, words) in [
+    for (name, given, words) in [
         ("robot", ProducerSensor { hit: 0.75, ..weak }, ["0.7,", "0.75", "another label"]),
         ("robot", own, ["0.7,", "0.9", "another label"]),
         ("camera", weak, ["0.9,", "0.7", "another label"]),
         ("fourth", ProducerSensor { hit: 0.2, false_alarm: 0.2 }, ["0.2", "false alarm", "hit <= 1"]),
         ("fourth", ProducerSensor { hit: f64::NAN, false_alarm: 0.2 }, ["NaN", "false alarm", "hit <= 1"]),
     ] {
-        let refused = with_sensor(&daemon, name, Some(says)).await.expect_err("refused");
+        let refused = with_sensor(&daemon, name, Some(given)).await.expect_err("refused");
         assert!(words.iter().all(|word| refused.contains(word)), "{refused}");
     }
-    for (name, says) in [("robot", weak), ("camera", own)] {
-        with_sensor(&daemon, name, Some(says)).await.expect("what it has");
+    for (name, given) in [("robot", weak), ("camera", own)] {
+        with_sensor(&daemon, name, Some(given)).await.expect("what it has");
     }
 }

@@ -70,7 +70,7 @@ fn line(grid: &WholeGrid, from: [i32; 3], axis: usize, step: i32, cells: usize) 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn grid_of_rays_tells_free_occupied_and_unknown_apart() {
+async fn grid_of_rays_distinguishes_free_occupied_and_unknown() {
     let (_data, daemon) = office(coarse()).await;
     let mut robot = producer(&daemon, "robot").await;
     // Three metres to the front; ten up, of which the range limit leaves five; and points that are not numbers.

@@ -19,8 +19,8 @@ fn the_door_opens_in_a_recording_and_the_map_knows_when_it_will_again() {
     let file = written(&folder, "fortnight.bag", &bag, usize::MAX);
     let import = words(&daemon, &format!("import home {} --nightly --producer robot-1", file.display()));
     assert_eq!(counts(&import.table(), "/door/open"), [14 * 24 * 6, 0, 0]);
-    let asked = "predict home door-open --at 2025-01-21T03:00:00Z,2025-01-21T12:00:00Z,2025-01-21T21:00:00Z";
-    let p = words(&daemon, asked).table().numbers("probability");
+    let command = "predict home door-open --at 2025-01-21T03:00:00Z,2025-01-21T12:00:00Z,2025-01-21T21:00:00Z";
+    let p = words(&daemon, command).table().numbers("probability");
     assert!(p[0] < 0.2 && p[1] > 0.8 && p[2] < 0.2, "{p:?}");
 }
 

@@ -28,18 +28,18 @@ fn real_recordings_become_what_is_in_them() {
         ("/driver_laser_security/laser_scan", [212, 1, 0]),
         ("/pose_ground_truth", [204, 0, 0]),
     ];
-    let said = imported(&daemon, "jarvis", "jarvis.bag", &jarvis, 0);
-    assert!(said.contains("frame \"map\""), "{said}");
+    let printed = imported(&daemon, "jarvis", "jarvis.bag", &jarvis, 0);
+    assert!(printed.contains("frame \"map\""), "{printed}");
     imported(&daemon, "jarvis2", "jarvis_zstd", &jarvis, 0);
     let cut =
         [("/driver_laser_navigation/laser_scan", [108, 0, 0]), ("/driver_laser_security/laser_scan", [111, 2, 0])];
-    let said = imported(&daemon, "cut", "jarvis-cut.bag", &cut, 0);
-    assert!(said.contains("jarvis-cut.bag: "), "{said}");
+    let printed = imported(&daemon, "cut", "jarvis-cut.bag", &cut, 0);
+    assert!(printed.contains("jarvis-cut.bag: "), "{printed}");
     let tilt = [("/guardian/laser_tilt_front", [415, 6, 0]), ("/guardian/laser_horizontal_back", [413, 5, 0])];
     imported(&daemon, "tilt", "guardian-tilt.bag", &tilt, 0);
     let simulated = [("/scan", [134, 0, 0]), ("/odom", [788, 0, 0])];
-    let said = imported(&daemon, "simulated", "turtlebot3", &simulated, 0);
-    assert!(said.contains("before 1990"), "{said}");
+    let printed = imported(&daemon, "simulated", "turtlebot3", &simulated, 0);
+    assert!(printed.contains("before 1990"), "{printed}");
 }
 
 #[test]
@@ -54,14 +54,14 @@ fn poses_of_which_some_are_not_finite_are_refused_one_by_one() {
         ("/cf_logpos", [0, 0, 236]),
         ("/vicon/Group466CF/Group466CF/pose", [2359, 0, 0]),
     ];
-    let said = imported(&daemon, "crazyflie", "crazyflie-nan", &poses, 1);
-    assert!(said.contains("is not finite"), "{said}");
-    let said = imported(&daemon, "zeros", "zeros.bag", &[("/occupancygrid", [0, 0, 1])], 1);
-    assert!(said.contains("the resolution must be above 0"), "{said}");
+    let printed = imported(&daemon, "crazyflie", "crazyflie-nan", &poses, 1);
+    assert!(printed.contains("is not finite"), "{printed}");
+    let printed = imported(&daemon, "zeros", "zeros.bag", &[("/occupancygrid", [0, 0, 1])], 1);
+    assert!(printed.contains("the resolution must be above 0"), "{printed}");
 }
 
 #[test]
-fn recordings_with_nothing_to_take_or_of_an_old_version_say_so() {
+fn recordings_with_nothing_to_take_or_of_an_old_version_are_refused_with_the_reason() {
     let Some(bags) = recordings::folder("bags") else { return };
     let (_folder, daemon) = started();
     let bags = bags.display();

@@ -26,16 +26,16 @@ fn get(daemon: &Daemon, path: &str) -> (u16, String) {
 }
 
 /// Waits until readiness reports these words, or no longer does.
-async fn until_told(daemon: &Daemon, words: &str, is_told: bool) -> String {
+async fn until_reported(daemon: &Daemon, words: &str, is_reported: bool) -> String {
     for _ in 0..600 {
         let (code, text) = get(daemon, "/readyz");
         assert_eq!(code, 200, "it goes on serving: {text}");
-        if text.contains(words) == is_told {
+        if text.contains(words) == is_reported {
             return text;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    panic!("/readyz: {}, and {words:?} expected: {is_told}", get(daemon, "/readyz").1)
+    panic!("/readyz: {}, and {words:?} expected: {is_reported}", get(daemon, "/readyz").1)
 }
 
 /// The first history file; the save that writes it follows the update.
@@ -64,7 +64,7 @@ async fn with_history(data: &Path) -> Daemon {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_byte_that_flips_under_a_running_daemon_is_told_and_stops_nothing() {
+async fn a_byte_that_flips_under_a_running_daemon_is_reported_and_stops_nothing() {
     let data = tempdir().expect("a folder");
     let daemon = with_history(data.path()).await;
     let file = history_file(data.path()).await;
@@ -73,7 +73,7 @@ async fn a_byte_that_flips_under_a_running_daemon_is_told_and_stops_nothing() {
     flipped[sound.len() / 2] ^= 4;
     fs::write(&file, &flipped).expect("writable");
     let name = file.file_name().and_then(|name| name.to_str()).expect("text");
-    let text = until_told(&daemon, name, true).await;
+    let text = until_reported(&daemon, name, true).await;
     assert!(text.contains("is damaged"), "{text}");
     assert!(!text.contains(data.path().to_str().expect("text")), "no paths of the machine: {text}");
     assert!(get(&daemon, "/metrics").1.contains("tidemap_damaged_files 1"));
@@ -82,7 +82,7 @@ async fn a_byte_that_flips_under_a_running_daemon_is_told_and_stops_nothing() {
     stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0)])).await;
     stream.acknowledged(1).await.expect("taken");
     fs::write(&file, &sound).expect("writable");
-    until_told(&daemon, name, false).await;
+    until_reported(&daemon, name, false).await;
     assert!(get(&daemon, "/metrics").1.contains("tidemap_damaged_files 0"));
 }
 
@@ -92,17 +92,17 @@ async fn a_reply_that_lacks_a_history_file_is_data_loss_with_the_interval() {
     let daemon = with_history(data.path()).await;
     let file = history_file(data.path()).await;
     let times = json!({ "map": "office", "state": "door", "fromTime": "1970-01-01T00:00:00Z", "toTime": "1970-01-02T00:00:00Z" });
-    let asked = || call(&daemon.http, "QueryService/Reconstruct", &[], &times);
-    assert!(!asked().text().contains("error"), "{}", asked().text());
+    let reconstruct = || call(&daemon.http, "QueryService/Reconstruct", &[], &times);
+    assert!(!reconstruct().text().contains("error"), "{}", reconstruct().text());
     fs::remove_file(&file).expect("removable");
     // Until the save has ended, the observations are still in memory.
-    let mut lacking = asked();
+    let mut lacking = reconstruct();
     for _ in 0..600 {
         if !lacking.reason().is_empty() {
             break;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
-        lacking = asked();
+        lacking = reconstruct();
     }
     // The reply is a stream, whose status comes first.
     assert_eq!(lacking.reason(), "HISTORY_MISSING", "{}", lacking.text());
@@ -124,7 +124,7 @@ async fn an_error_repeats_no_long_value() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_whose_generation_cannot_be_saved_says_so() {
+async fn a_job_whose_generation_cannot_be_saved_reports_it() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     create_map(&daemon, "office").await;

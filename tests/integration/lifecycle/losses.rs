@@ -96,14 +96,14 @@ async fn accept(data: &Path, file: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lost_list_of_maps_is_told_until_the_loss_is_accepted() {
+async fn a_lost_list_of_maps_is_reported_until_the_loss_is_accepted() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     fs::remove_file(data.path().join("MAPS")).expect("removable");
     fs::remove_dir_all(data.path().join("maps/00000002")).expect("removable");
     let daemon = daemon_that_reports(data.path(), "MAPS").await;
-    let asked = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
-    assert!(asked.text().contains("DATA_LOSS") && asked.text().contains("MAPS"), "{}", asked.text());
+    let reply = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
+    assert!(reply.text().contains("DATA_LOSS") && reply.text().contains("MAPS"), "{}", reply.text());
     tidemap(&daemon, ["map", "create", "home"]).fails(1, &["MAPS"]);
     assert!(daemon.client().map("office").await.is_ok(), "what is there is served");
     observe(&daemon, "office", 200).await;
@@ -112,7 +112,7 @@ async fn a_lost_list_of_maps_is_told_until_the_loss_is_accepted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lost_list_of_history_is_told_until_the_loss_is_accepted() {
+async fn a_lost_list_of_history_is_reported_until_the_loss_is_accepted() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     let history = data.path().join("maps/00000001/history");
@@ -120,8 +120,8 @@ async fn a_lost_list_of_history_is_told_until_the_loss_is_accepted() {
     fs::remove_file(history.with_file_name("HISTORY")).expect("removable");
     let daemon = daemon_that_reports(data.path(), "maps/00000001/HISTORY").await;
     let times = json!({ "map": "office", "state": "door", "fromTime": "1970-01-01T00:00:00Z", "toTime": "1970-01-02T00:00:00Z" });
-    let asked = call(&daemon.http, "QueryService/Reconstruct", &[], &times);
-    assert!(asked.text().contains("DATA_LOSS"), "{}", asked.text());
+    let reply = call(&daemon.http, "QueryService/Reconstruct", &[], &times);
+    assert!(reply.text().contains("DATA_LOSS"), "{}", reply.text());
     daemon.stop_in_order();
     accept(data.path(), "maps/00000001/HISTORY").await;
 }
@@ -138,8 +138,8 @@ async fn a_lost_end_of_a_log_sets_the_map_aside_until_the_loss_is_accepted() {
     let (_, readiness) = get(&daemon, "/readyz");
     assert!(readiness.contains("map number 1 is unavailable") && readiness.contains("NEWEST"), "{readiness}");
     assert!(get(&daemon, "/metrics").1.contains("tidemap_maps_unavailable 1\n"));
-    let asked = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "office" }));
-    assert!(asked.text().contains("DATA_LOSS"), "{}", asked.text());
+    let reply = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "office" }));
+    assert!(reply.text().contains("DATA_LOSS"), "{}", reply.text());
     assert!(daemon.client().map("home").await.is_ok());
     let log = daemon.stop_in_order();
     assert!(log.contains("map unavailable") && log.contains("NEWEST") && !newest.exists(), "{log}");
@@ -147,7 +147,7 @@ async fn a_lost_end_of_a_log_sets_the_map_aside_until_the_loss_is_accepted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_missing_checkpoint_index_or_list_of_checkpoints_loses_nothing_and_is_told() {
+async fn a_missing_checkpoint_index_or_list_of_checkpoints_loses_nothing_and_is_reported() {
     let data = tempdir().expect("a folder");
     two_maps(data.path()).await;
     let sound = check(data.path(), &[]);

@@ -34,7 +34,7 @@ pub(super) fn metric(text: &str, name: &str) -> Option<f64> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn http_tells_life_readiness_and_metrics_and_nothing_about_maps() {
+async fn http_shows_life_readiness_and_metrics_and_nothing_about_maps() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     let map = NewMap { name: "secret-lab".to_owned(), ..NewMap::default() };
@@ -65,7 +65,7 @@ async fn http_tells_life_readiness_and_metrics_and_nothing_about_maps() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_metric_says_what_it_means_and_the_important_ones_are_there() {
+async fn every_metric_has_an_explanation_and_the_important_ones_are_there() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     let map = NewMap { name: "lab".to_owned(), ..NewMap::default() };
@@ -144,7 +144,7 @@ async fn grpc_has_health_for_the_daemon_and_its_services() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn grpc_says_which_services_there_are() {
+async fn grpc_lists_which_services_there_are() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     let mut reflection = ServerReflectionClient::new(daemon.client().requests());

@@ -110,7 +110,7 @@ fn ports_beyond_this_machine_are_refused() {
 }
 
 #[test]
-fn wrong_usage_is_told_from_wrong_settings() {
+fn wrong_usage_is_distinguished_from_wrong_settings() {
     for args in [["--lisen", "127.0.0.1:0"], ["--log-format", "xml"]] {
         let exit = Launch::bare().args(args).try_start().expect_err("no such option");
         assert_eq!(exit.code(), Some(2), "{exit}");

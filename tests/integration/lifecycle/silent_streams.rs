@@ -137,7 +137,7 @@ async fn a_robot_that_restarts_takes_over_from_a_process_that_is_stopped() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stream_that_does_not_answer_is_told_why_it_ends() {
+async fn a_stream_that_does_not_answer_receives_the_reason_of_its_end() {
     let (_data, daemon) = office(|launch| launch).await;
     let announced = || Hello { answers_probes: true, ..hello("robot", "office") };
     let (mut old, _) = RawStream::open(&daemon.grpc, announced()).await.expect("a Welcome");

@@ -82,9 +82,9 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     let trusted = trusted.display().to_string();
     for number in 0..40 {
         let listed = cli::command(&server, ["--tls-ca", &trusted, "map", "list"]).output().expect("tidemap runs");
-        let said = String::from_utf8_lossy(&listed.stderr).into_owned();
-        let is_told = said.contains("--tls-cert") && said.contains("requires a certificate of the client");
-        assert!(is_told, "try {number}: {said}");
+        let text = String::from_utf8_lossy(&listed.stderr).into_owned();
+        let is_reported = text.contains("--tls-cert") && text.contains("requires a certificate of the client");
+        assert!(is_reported, "try {number}: {text}");
     }
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
     let log = daemon.stop_in_order();
@@ -208,7 +208,7 @@ async fn a_client_that_is_silent_in_the_handshake_is_left() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn beyond_loopback_http_speaks_tls_and_shows_metrics_to_holders_of_tokens() {
+async fn beyond_loopback_http_uses_tls_and_shows_metrics_to_holders_of_tokens() {
     let work = tempdir().expect("a folder");
     let (authority, tokens) = (Authority::new("ours"), Tokens::of(work.path()));
     let (planner, of_one_map) = (tokens.create(&["planner"], &[]), tokens.create(&["admin"], &["office"]));

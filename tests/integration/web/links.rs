@@ -147,7 +147,7 @@ async fn a_grid_is_a_picture_at_a_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn pictures_that_cannot_be_made_say_why() {
+async fn pictures_that_cannot_be_made_give_the_reason() {
     let (_data, daemon) = daemon_with_a_grid().await;
     let empty = NewMap { name: "new".to_owned(), grid: Some(GridSpec::new(0.1)), ..NewMap::default() };
     daemon.client().create_map(empty).await.expect("a new map");
@@ -222,8 +222,8 @@ fn a_topology_is_geojson_at_a_time() {
     assert_eq!(find("name", "lab")[0]["geometry"]["coordinates"], serde_json::json!([4.5, -6.0]));
     assert!(find("name", "attic")[0]["geometry"].is_null());
     let presence = cli::tidemap(&daemon, ["predict", "flat", "hall", "--at", &at]).table();
-    let said = find("name", "hall")[0]["properties"]["presence"].as_f64().expect("a number");
-    assert!((said - presence.number("probability")).abs() < 1e-6, "{said} {presence:?}");
+    let presence_of_hall = find("name", "hall")[0]["properties"]["presence"].as_f64().expect("a number");
+    assert!((presence_of_hall - presence.number("probability")).abs() < 1e-6, "{presence_of_hall} {presence:?}");
     let edges = find("from", "hall");
     let line = serde_json::json!([[1.0, 2.0], [4.5, -6.0]]);
     assert_eq!(edges[0]["geometry"], serde_json::json!({ "type": "LineString", "coordinates": line }));
@@ -235,15 +235,15 @@ fn a_topology_is_geojson_at_a_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_browser_gets_a_grid_compressed_if_it_says_that_it_can_read_it() {
+async fn a_browser_gets_a_grid_compressed_if_it_accepts_that() {
     let (_data, daemon) = daemon_with_a_grid().await;
     let time = Some(prost_types::Timestamp { seconds: NOON_SECS + 3_600, nanos: 0 });
-    let asked = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();
-    let plain = grpc_web(&daemon, "QueryService/PredictGrid", &[], &asked);
+    let request = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();
+    let plain = grpc_web(&daemon, "QueryService/PredictGrid", &[], &request);
     assert_eq!((plain.code, plain.headers.get("content-encoding")), (200, None));
     assert!(plain.text().contains("grpc-status:0"), "{}", plain.text());
 
-    let small = grpc_web(&daemon, "QueryService/PredictGrid", &[("accept-encoding", "gzip, br")], &asked);
+    let small = grpc_web(&daemon, "QueryService/PredictGrid", &[("accept-encoding", "gzip, br")], &request);
     assert_eq!(small.headers.get("content-encoding").map(String::as_str), Some("gzip"));
     let mut read = Vec::new();
     flate2::read::GzDecoder::new(small.body.as_slice()).read_to_end(&mut read).expect("gzip");

@@ -58,7 +58,7 @@ fn send(daemon: &Daemon, path: &str, headers: &[(&str, &str)], body: &[u8]) -> A
     request(&daemon.http, "POST", &format!("/api/v1/maps/{path}"), &all, body)
 }
 
-fn look(daemon: &Daemon, path: &str, headers: &[(&str, &str)]) -> Answer {
+fn check(daemon: &Daemon, path: &str, headers: &[(&str, &str)]) -> Answer {
     request(&daemon.http, "GET", &format!("/api/v1/maps/{path}"), headers, b"")
 }
 
@@ -105,35 +105,37 @@ fn eventually(what: &str, mut is_so: impl FnMut() -> bool) {
 #[test]
 fn a_recording_is_imported_once_and_its_file_is_gone() {
     let (data, daemon) = started();
-    let looked = look(&daemon, "flat/recordings/door.bag?bytes=1000", &[]);
-    assert_eq!((looked.code, &looked.json()["mapExists"]), (200, &json!(false)), "{}", looked.text());
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
-    assert_eq!(exit, 0, "{said}");
-    assert!(said.contains("map \"flat\" is created") && said.contains("state kitchen-door"), "{said}");
+    let checked = check(&daemon, "flat/recordings/door.bag?bytes=1000", &[]);
+    assert_eq!((checked.code, &checked.json()["mapExists"]), (200, &json!(false)), "{}", checked.text());
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
+    assert_eq!(exit, 0, "{printed}");
+    assert!(printed.contains("map \"flat\" is created") && printed.contains("state kitchen-door"), "{printed}");
     assert_eq!(observations(&daemon, "flat", &[]), 40);
     assert!(is_empty(data.path()), "before the end is told");
-    assert_eq!(look(&daemon, "flat/recordings/door.bag", &[]).json()["mapExists"], json!(true));
+    assert_eq!(check(&daemon, "flat/recordings/door.bag", &[]).json()["mapExists"], json!(true));
 
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
-    assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 40), "{said}");
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door_that_begins(false, 40)));
-    assert_eq!((exit, observations(&daemon, "flat", &[])), (1, 40), "{said}");
-    assert!(said.contains("door.bag differs from the data that upload sent as upload/door.bag"), "{said}");
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/door.bag?producer=robot-7", &[], &door(10)));
-    assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 50), "{said}");
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door(40)));
+    assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 40), "{printed}");
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/door.bag", &[], &door_that_begins(false, 40)));
+    assert_eq!((exit, observations(&daemon, "flat", &[])), (1, 40), "{printed}");
+    assert!(printed.contains("door.bag differs from the data that upload sent as upload/door.bag"), "{printed}");
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/door.bag?producer=robot-7", &[], &door(10)));
+    assert_eq!((exit, observations(&daemon, "flat", &[])), (0, 50), "{printed}");
     assert!(is_empty(data.path()));
     daemon.stop_in_order();
 }
 
 #[test]
-fn what_is_no_recording_is_told_and_makes_no_map() {
+fn what_is_no_recording_is_an_error_and_makes_no_map() {
     let (data, daemon) = started();
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
-    assert_eq!(exit, 1, "{said}");
-    assert!(said.contains("noise.bag: this is no recording") && !said.contains(data.path().to_str().expect("text")));
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
+    assert_eq!(exit, 1, "{printed}");
+    assert!(
+        printed.contains("noise.bag: this is no recording") && !printed.contains(data.path().to_str().expect("text"))
+    );
     let cut = &door(40)[..3000];
-    let (said, exit) = imported(&send(&daemon, "flat/recordings/cut.bag", &[], cut));
-    assert_eq!(exit, 1, "{said}");
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/cut.bag", &[], cut));
+    assert_eq!(exit, 1, "{printed}");
     assert_eq!(call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "flat" })).code, 404);
     refused(&send(&daemon, "flat/recordings/none.bag", &[], b""), 400, "EMPTY", &["no bytes"]);
     refused(&send(&daemon, "Flat/recordings/a.bag", &[], b"a"), 400, "INVALID_FIELD", &["Flat"]);
@@ -144,8 +146,8 @@ fn what_is_no_recording_is_told_and_makes_no_map() {
     refused(&send(&daemon, &long, &[], b"a"), 400, "INVALID_FIELD", &["204 bytes", "120"]);
     let plain = request(&daemon.http, "POST", "/api/v1/maps/flat/recordings/a.bag", &[], b"a");
     refused(&plain, 415, "MEDIA_TYPE", &["application/octet-stream"]);
-    refused(&look(&daemon, "flat/recordings/a.bag?size=1", &[]), 400, "INVALID_FIELD", &["size", "producer, bytes"]);
-    refused(&look(&daemon, "flat/recordings/a.bag?bytes=many", &[]), 400, "INVALID_FIELD", &["bytes"]);
+    refused(&check(&daemon, "flat/recordings/a.bag?size=1", &[]), 400, "INVALID_FIELD", &["size", "producer, bytes"]);
+    refused(&check(&daemon, "flat/recordings/a.bag?bytes=many", &[]), 400, "INVALID_FIELD", &["bytes"]);
     let evil = [("origin", "https://evil.example")];
     refused(&send(&daemon, "flat/recordings/a.bag", &evil, b"a"), 403, "FOREIGN_REQUEST", &[]);
     assert!(is_empty(data.path()));
@@ -163,7 +165,8 @@ fn where_nobody_may_write_nothing_is_taken() {
     fs::write(data.path().join("uploads/recording/old.bag"), "left behind").expect("a file");
     let daemon = Launch::on(data.path()).start();
     assert!(is_empty(data.path()), "what an earlier daemon left is removed at the start");
-    for answer in [look(&daemon, "flat/recordings/a.bag", &[]), send(&daemon, "flat/recordings/a.bag", &[], &door(4))] {
+    for answer in [check(&daemon, "flat/recordings/a.bag", &[]), send(&daemon, "flat/recordings/a.bag", &[], &door(4))]
+    {
         refused(&answer, 403, "READ_ONLY", &["http_write"]);
     }
     assert!(is_empty(data.path()));
@@ -199,13 +202,13 @@ fn a_token_imports_into_its_maps_as_its_producers() {
     refused(&as_one(path, &planner), 403, "NEEDS_ROLE", &["observer"]);
     refused(&as_one(path, &observer), 403, "NEEDS_ROLE", &["map flat does not exist", "admin"]);
     refused(&as_one("other/recordings/door.bag", &admin), 403, "NOT_FOR_MAP", &["other"]);
-    let (said, exit) = imported(&as_one(path, &admin));
-    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 12), "{said}");
-    let (said, exit) = imported(&as_one("flat/recordings/again.bag", &observer));
-    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 24), "{said}");
+    let (printed, exit) = imported(&as_one(path, &admin));
+    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 12), "{printed}");
+    let (printed, exit) = imported(&as_one("flat/recordings/again.bag", &observer));
+    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 24), "{printed}");
     refused(&as_one(path, &robot), 403, "NOT_FOR_PRODUCER", &["upload"]);
-    let (said, exit) = imported(&as_one("flat/recordings/door.bag?producer=robot-7", &robot));
-    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 36), "{said}");
+    let (printed, exit) = imported(&as_one("flat/recordings/door.bag?producer=robot-7", &robot));
+    assert_eq!((exit, observations(&daemon, "flat", &[("authorization", &admin)])), (0, 36), "{printed}");
     assert!(is_empty(&data));
     let log = daemon.stop_in_order();
     let secret = admin.rsplit('_').next().expect("a secret");
@@ -221,9 +224,9 @@ fn a_file_beyond_the_limit_is_refused_and_0_takes_none() {
     let daemon = at_most(bag.len() - 1);
     let path = "flat/recordings/door.bag";
     refused(&send(&daemon, path, &[], &bag), 413, "LIMIT", &["max_upload_bytes", "tidemap import"]);
-    let asked = format!("{path}?bytes={}", bag.len());
-    refused(&look(&daemon, &asked, &[]), 413, "LIMIT", &["max_upload_bytes"]);
-    let huge = look(&daemon, &format!("{path}?bytes={}", u64::MAX), &[]);
+    let address = format!("{path}?bytes={}", bag.len());
+    refused(&check(&daemon, &address, &[]), 413, "LIMIT", &["max_upload_bytes"]);
+    let huge = check(&daemon, &format!("{path}?bytes={}", u64::MAX), &[]);
     refused(&huge, 413, "LIMIT", &["max_upload_bytes"]);
     // Without an announced length, the file is counted as it comes.
     let mut socket = chunked(&daemon, path);
@@ -280,7 +283,7 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     first.write_all(b"5\r\n#ROSB\r\n").expect("a part");
     let file = data.path().join("uploads/0/recording/door.bag");
     eventually("the file arrives", || file.exists());
-    for answer in [look(&daemon, path, &[]), send(&daemon, path, &[], &door(4))] {
+    for answer in [check(&daemon, path, &[]), send(&daemon, path, &[], &door(4))] {
         refused(&answer, 429, "BUSY", &["another recording is being imported into this map"]);
     }
     drop(first);
@@ -293,8 +296,8 @@ fn one_import_at_a_time_and_who_leaves_makes_room() {
     drop(answer);
     eventually("the file is gone", || is_empty(data.path()));
     eventually("it is told", || daemon.process().stderr().contains("the import of a recording was stopped"));
-    let (said, exit) = imported(&send(&daemon, "large/recordings/door.bag", &[], &large));
-    assert_eq!((exit, observations(&daemon, "large", &[])), (0, 60_000), "{said}");
+    let (printed, exit) = imported(&send(&daemon, "large/recordings/door.bag", &[], &large));
+    assert_eq!((exit, observations(&daemon, "large", &[])), (0, 60_000), "{printed}");
     daemon.stop_in_order();
 }
 

@@ -28,8 +28,8 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
             let option = option.replace('_', "-");
             usage(format!("--{option} {given}: it has to be {allowed}"))
         }
-        GridOfficeError::TooQuiet { asked, least } => {
-            let text = format!("--changes-per-day {asked}: the routines of this office alone make {least:.1}");
+        GridOfficeError::TooQuiet { requested, least } => {
+            let text = format!("--changes-per-day {requested}: the routines of this office alone make {least:.1}");
             usage(text)
         }
         GridOfficeError::Zone(_) => error.into(),

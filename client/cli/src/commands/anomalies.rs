@@ -128,7 +128,7 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     let [state] = states.as_slice() else {
         return Err(usage("name one state with --model; several states go without it, or with --watch"));
     };
-    look_back(session, &map, state, from..to, judgement).await
+    judge_past(session, &map, state, from..to, judgement).await
 }
 
 /// The week before the newest observation of a map.
@@ -170,7 +170,7 @@ async fn surprises(session: &Session, map: &str, query: SurpriseQuery) -> anyhow
 }
 
 /// Judges the observations of the past by a model as it is now.
-async fn look_back(
+async fn judge_past(
     session: &Session,
     map: &str,
     state: &str,

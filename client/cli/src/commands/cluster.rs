@@ -170,10 +170,10 @@ async fn status(session: &Session, credentials: &Credentials, of_maps: bool) -> 
 }
 
 /// Waits for something to be true of the cluster.
-async fn wait_for<T>(what: &str, mut look: impl AsyncFnMut() -> anyhow::Result<Option<T>>) -> anyhow::Result<T> {
+async fn wait_for<T>(what: &str, mut check: impl AsyncFnMut() -> anyhow::Result<Option<T>>) -> anyhow::Result<T> {
     let begun = Instant::now();
     loop {
-        let seen = look().await;
+        let seen = check().await;
         match seen {
             Ok(Some(found)) => return Ok(found),
             // A daemon may be slow to answer for a moment.
@@ -205,13 +205,13 @@ async fn move_map(session: &Session, credentials: &Credentials, args: MoveArgs) 
 
 /// A client of a member, by the address that it reports.
 async fn member_client(client: &Client, credentials: &Credentials, member: &str) -> anyhow::Result<Client> {
-    let asked = answer_of(client, false).await?;
-    let found = asked.members.iter().find(|known| known.name == member);
+    let status = answer_of(client, false).await?;
+    let found = status.members.iter().find(|known| known.name == member);
     let address = found.map(|known| known.address.clone()).with_context(|| {
-        let known: Vec<&str> = asked.members.iter().map(|known| known.name.as_str()).collect();
+        let known: Vec<&str> = status.members.iter().map(|known| known.name.as_str()).collect();
         format!("{member:?} is no member of the cluster; members: {}", known.join(", "))
     })?;
-    Ok(if asked.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
+    Ok(if status.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
 }
 
 async fn forget(session: &Session, args: ForgetArgs) -> anyhow::Result<ExitCode> {

@@ -179,7 +179,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         (session.client.plan_day(query).await?, None)
     };
     if let Some(tasks) = &tasks {
-        tell_unserved(session, tasks);
+        report_unserved(session, tasks);
     }
     args.drawing.put(|| text(session, &title, &slots), || plot(session, &title, &slots).svg())?;
     if args.drawing.is_in_terminal() {
@@ -207,7 +207,7 @@ fn task_within(tasks: &PlannedTasks, start_nanos: i64, end_nanos: i64) -> Cell {
 }
 
 /// Prints on stderr which tasks are not planned, and why.
-fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
+fn report_unserved(session: &Session, tasks: &PlannedTasks) {
     for UnservedTask { name, from_nanos, until_nanos, reason } in &tasks.unserved {
         let why = match reason {
             UnservedReason::NoWindow => "its window is over, or the robot cannot arrive early enough",

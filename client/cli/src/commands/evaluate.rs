@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn all_stands_for_every_kind_and_a_name_twice_for_one() {
+    fn all_means_every_kind_and_a_name_twice_means_one() {
         assert_eq!(selected(&choices(&["all"])).len(), ModelKind::ALL.len());
         assert_eq!(selected(&choices(&["mean", "all", "mean"])).len(), ModelKind::ALL.len());
         assert_eq!(selected(&choices(&["pergam:3", "pergam:4"])).len(), 2);

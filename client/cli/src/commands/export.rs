@@ -46,7 +46,7 @@ fn kind(path: &Path) -> Result<ExportKind, UsageError> {
 pub(crate) async fn run(session: &Session, args: ExportArgs) -> anyhow::Result<ExitCode> {
     let kind = kind(&args.path)?;
     args.check(kind)?;
-    let times = args.times.asked(session, &args.map).await?;
+    let times = args.times.resolve(session, &args.map).await?;
     let written = match (kind, times.as_slice()) {
         (ExportKind::Recording, _) => recording::write(session, &args, times).await?,
         (ExportKind::Image, &[time]) => image::write(session, &args, time).await?,
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ending_says_what_to_export() {
+    fn an_ending_decides_what_to_export() {
         let kind = |path: &str| kind(Path::new(path)).map_err(|error| error.0);
         assert_eq!(kind("week.mcap"), Ok(ExportKind::Recording));
         assert_eq!(kind("a/ten.YAML"), Ok(ExportKind::Image));

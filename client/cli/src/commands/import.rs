@@ -119,7 +119,7 @@ struct Planned {
 pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<ExitCode> {
     let planned = planned(&args).await?;
     if args.period.is_none() {
-        list::tell_fast_clouds(&planned);
+        list::report_fast_clouds(&planned);
     }
     if args.list {
         list::print(session, &planned)?;
@@ -130,7 +130,7 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
         status_line("no observations can be made from these recordings: use --mapping for other topics");
         return Ok(ExitCode::FAILURE);
     }
-    list::tell(&planned);
+    list::report(&planned);
     if list::is_all_without_place(&planned) {
         list::print_counts(session, &planned, &TopicCounts::without_place(&planned.surveyed, &planned.plan))?;
         status_line("nothing is sent: none of these messages has a place");
@@ -185,7 +185,7 @@ async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::
     if !differs {
         list::print_counts(session, &planned, transfer.counts())?;
     }
-    transfer.counts().tell(&planned.surveyed);
+    transfer.counts().report(&planned.surveyed);
     if matches!(end, TransferEnd::Stopped(_) | TransferEnd::Interrupted) {
         status_line("the same command again sends the missing observations");
     }

@@ -128,8 +128,8 @@ mod tests {
     #[test]
     fn a_watch_that_ends_before_its_job_is_no_success() {
         for last in [None, Some(job(JobState::Waiting)), Some(job(JobState::Running))] {
-            let said = at_end(7, last).map_err(|error| error.to_string());
-            assert_eq!(said, Err("the daemon ended the watch of job 7 before the job ended".to_owned()));
+            let text = at_end(7, last).map_err(|error| error.to_string());
+            assert_eq!(text, Err("the daemon ended the watch of job 7 before the job ended".to_owned()));
         }
         for state in [JobState::Done, JobState::Failed] {
             assert_eq!(at_end(7, Some(job(state))).ok(), Some(job(state)));

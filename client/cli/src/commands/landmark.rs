@@ -290,8 +290,8 @@ async fn predict(session: &Session, args: LandmarkPredictArgs) -> anyhow::Result
     let whole = PartOfEdge::WHOLE;
     let part = PartOfEdge { from_m: from_m.unwrap_or(whole.from_m), to_m: to_m.unwrap_or(whole.to_m) };
     part.check(&place).map_err(|error| usage(error.to_string()))?;
-    let asked = session.client.predict_landmarks(&map, (&place, part), at, count.unwrap_or_default());
-    let (landmarks, known) = asked.await?;
+    let reply = session.client.predict_landmarks(&map, (&place, part), at, count.unwrap_or_default());
+    let (landmarks, known) = reply.await?;
     if known == 0 {
         status_line(&format!("{place} has no landmarks there: tidemap landmark add {map} FILE gives it some"));
     }

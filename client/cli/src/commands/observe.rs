@@ -253,7 +253,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     transfer.advice(rows_are, &steps).iter().for_each(|line| status_line(line));
     transfer.report.conclude();
     let is_sent = !matches!(end, TransferEnd::Differs(_));
-    tell_next(session, &transfer, counts, (&steps, is_sent), &options).await?;
+    print_advice(session, &transfer, counts, (&steps, is_sent), &options).await?;
     if let TransferEnd::Stopped(_) = end {
         let durable = counts.accepted + counts.duplicate + counts.refused;
         status_line(&format!(
@@ -270,7 +270,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
 }
 
 /// Prints advice about rows that were refused, or that were sent before and are gone.
-async fn tell_next<T: Sendable>(
+async fn print_advice<T: Sendable>(
     session: &Session,
     transfer: &RowTransfer<T>,
     counts: RowCounts,
@@ -336,13 +336,13 @@ pub(super) async fn run_transfer(
         let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
     }
     bar.clear();
-    tell_ahead(session, &options.map).await;
+    report_future_times(session, &options.map).await;
     Ok(end)
 }
 
 /// Reports the observations of a map that wait because they are later than the daemon's clock. A daemon that is gone
 /// causes other messages.
-async fn tell_ahead(session: &Session, map: &str) {
+async fn report_future_times(session: &Session, map: &str) {
     let Ok(known) = session.client.map(map).await else { return };
     let scans = known.grid_summary.map_or(0, |summary| summary.ahead_scans);
     let some = [(known.ahead_observations, "observation"), (scans, "scan")].into_iter().filter(|(count, _)| *count > 0);

@@ -60,18 +60,18 @@ fn is_here(host: &str) -> bool {
 /// The page is served to the daemon's own machine alone, which is another one.
 fn served(server: &str, page: &PagePort) -> Result<String, UsageError> {
     let PagePort { port, is_loopback, has_tls, host: bound } = page;
-    let asked = host(server).unwrap_or("127.0.0.1");
-    let is_name_of_loopback = ["127.0.0.1", "localhost", "[::1]"].contains(&asked);
-    if *is_loopback && !is_name_of_loopback && !is_here(asked) {
+    let target = host(server).unwrap_or("127.0.0.1");
+    let is_name_of_loopback = ["127.0.0.1", "localhost", "[::1]"].contains(&target);
+    if *is_loopback && !is_name_of_loopback && !is_here(target) {
         return Err(UsageError(format!(
-            "the page of {asked} is served to that machine alone, on port {port}. Forward the port with ssh -L \
-             {port}:127.0.0.1:{port} {asked}, and then open it with tidemap open --page 127.0.0.1:{port}; or let the \
+            "the page of {target} is served to that machine alone, on port {port}. Forward the port with ssh -L \
+             {port}:127.0.0.1:{port} {target}, and then open it with tidemap open --page 127.0.0.1:{port}; or let the \
              daemon serve it to others, with TLS and tokens (docs/src/security.md)"
         )));
     }
     let host = match (bound.as_str(), is_loopback) {
         ("", true) if !is_name_of_loopback => "127.0.0.1".to_owned(),
-        ("", _) => asked.to_owned(),
+        ("", _) => target.to_owned(),
         (address, _) if address.contains(':') => format!("[{address}]"),
         (address, _) => address.to_owned(),
     };

@@ -8,7 +8,7 @@ use clap::Args;
 use tidemap_client::queries::{ModelKind, ModelSelector, ORDER_MAX, PredictionRun};
 use tidemap_model::Dimensions;
 
-use super::{Session, UsageError, files::DrawingArg, times::AskedTimesArgs, usage};
+use super::{Session, UsageError, files::DrawingArg, times::RequestedTimesArgs, usage};
 use crate::progress::status_line;
 use picture::Drawn;
 use tidemap_formats::table::{Cell, Format};
@@ -26,7 +26,7 @@ pub(crate) struct PredictArgs {
     #[arg(value_name = "STATE")]
     states: Vec<String>,
     #[command(flatten)]
-    times: AskedTimesArgs,
+    times: RequestedTimesArgs,
     /// Number of spectral components, 0 to 15 [default: the number that the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
@@ -84,7 +84,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         )));
     }
     args.drawing.check()?;
-    let times = args.times.asked(session, &args.map).await?;
+    let times = args.times.resolve(session, &args.map).await?;
     if !args.places.is_empty() {
         if args.drawing.is_wanted() {
             return Err(usage("--picture draws values over time: it does not go with --where"));

@@ -15,9 +15,9 @@ use super::{UsageError, files};
 use crate::progress::status_line;
 use tidemap_formats::table::offset_text;
 
-mod asked;
+mod requested;
 
-pub(crate) use asked::AskedTimesArgs;
+pub(crate) use requested::RequestedTimesArgs;
 
 /// Maximum number of times of one `--from --to --step`.
 const STEPS_MAX: i64 = 10_000_000;

@@ -24,10 +24,10 @@ fn settings(changes: &[(&str, &str)]) -> Result<GridSettings, FormatError> {
     read_settings(yaml.as_bytes())
 }
 
-fn refused<T: std::fmt::Debug>(result: Result<T, FormatError>, says: &str) {
+fn refused<T: std::fmt::Debug>(result: Result<T, FormatError>, text: &str) {
     match result {
-        Ok(value) => panic!("{says}: {value:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(value) => panic!("{text}: {value:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 
@@ -68,7 +68,7 @@ fn the_yaml_file_is_read_in_any_style() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_in_the_yaml_file_say_where_and_what_would_be_right() {
+fn errors_in_the_yaml_file_name_the_place_and_what_would_be_right() {
     refused(read_settings(b""), "lines of \"key: value\"");
     refused(read_settings(b"- 1\n"), "lines of \"key: value\"");
     refused(read_settings(b"image: [\n"), "no YAML");
@@ -131,7 +131,7 @@ fn each_mode_means_what_map_servers_make_of_it() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_in_the_image_say_where_and_what_would_be_right() -> Result<(), FormatError> {
+fn errors_in_the_image_name_the_place_and_what_would_be_right() -> Result<(), FormatError> {
     let settings = settings(&[])?;
     refused(read(&settings, b""), "the file is empty");
     refused(read(&settings, b"\x89PNG\r\n"), "convert other images to PGM");

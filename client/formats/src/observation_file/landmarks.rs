@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() -> Result<(), RowError> {
+    fn an_error_names_what_is_wrong() -> Result<(), RowError> {
         for (row, words) in [
             ("hall,1,x,2,00", "u_px \"x\" is not a number"),
             ("hall,1,1,2,0", "descriptor"),

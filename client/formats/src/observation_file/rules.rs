@@ -225,7 +225,7 @@ impl FileTimes {
 }
 
 #[test]
-fn dates_of_other_programs_are_told_how_they_are_right() {
+fn the_error_of_a_date_of_another_program_names_the_right_form() {
     for (text, words) in [
         ("01.02.2025 08:00", "day.month.year"),
         ("1/2/2025", "begins with the day or with the month"),

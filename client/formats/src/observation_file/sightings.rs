@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_says_why() -> Result<(), RowError> {
+    fn what_cannot_be_read_gives_the_reason() -> Result<(), RowError> {
         let wrong = |text: &str| -> Result<Option<String>, RowError> { Ok(read(text)?.remove(0).wrong) };
         assert_eq!(
             wrong("time,place,seen,from_m\n1,a/b,,x\n")?.as_deref(),

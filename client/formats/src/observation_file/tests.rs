@@ -77,7 +77,7 @@ fn columns_that_are_not_used_are_known() -> Result<(), RowError> {
 }
 
 #[test]
-fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowError> {
+fn what_cannot_be_read_uses_up_its_number_and_gives_the_reason() -> Result<(), RowError> {
     for (line, state, time_nanos, reason) in [
         ("soon,door,0", "door", 0, "time \"soon\" is not a time"),
         ("-5,door,0", "door", 0, "time \"-5\" is before 1970"),
@@ -278,7 +278,7 @@ fn events_need_no_value() -> Result<(), RowError> {
 }
 
 #[test]
-fn columns_with_another_separator_are_told() {
+fn columns_with_another_separator_are_reported() {
     for (header, words) in [
         ("time;state;value\n", "semicolons"),
         ("time\tstate\tvalue\n", "tabs"),
@@ -294,7 +294,7 @@ fn columns_with_another_separator_are_told() {
 }
 
 #[test]
-fn a_word_that_stands_for_a_number_out_of_range_is_told_with_both() -> Result<(), RowError> {
+fn the_error_of_a_word_for_a_number_out_of_range_names_both() -> Result<(), RowError> {
     let words = RowRules::parse_words("ajar=5").expect("words");
     let rules = RowRules { words, ..RowRules::default() };
     let mut rows = RowReader::<_, ObservationColumns>::open_with("time,state,value\n1,door,ajar\n".as_bytes(), &rules)?;
@@ -305,7 +305,7 @@ fn a_word_that_stands_for_a_number_out_of_range_is_told_with_both() -> Result<()
 }
 
 #[test]
-fn values_are_labels_where_the_rules_say_so() -> Result<(), Box<dyn std::error::Error>> {
+fn values_are_labels_where_the_rules_define_it() -> Result<(), Box<dyn std::error::Error>> {
     let pattern = |text: &str| text.chars().collect::<Vec<char>>();
     let labelled = vec![(pattern("activity-2"), false), (pattern("activity*"), true)];
     let rules = RowRules { labelled, ..RowRules::default() };

@@ -98,10 +98,10 @@ fn sorted(map: &OctoMap) -> Vec<([i32; 3], i32, f32)> {
     leaves
 }
 
-fn refused(file: impl AsRef<[u8]>, says: &str) {
+fn refused(file: impl AsRef<[u8]>, text: &str) {
     match read(file.as_ref()) {
-        Ok(map) => panic!("{says}: {map:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(map) => panic!("{text}: {map:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 
@@ -123,7 +123,7 @@ fn the_origin_is_between_the_cells_minus_one_and_zero() -> Result<(), FormatErro
 }
 
 #[test]
-fn bytes_mean_what_the_format_says() -> Result<(), FormatError> {
+fn bytes_have_the_meaning_of_the_format() -> Result<(), FormatError> {
     // Child 1 free, child 2 occupied, child 7 with children, of which child 0 is occupied.
     let data = [0b0010_0100, 0b1100_0000, 0b0000_0010, 0];
     let map = read(&file(BINARY_START, "OcTree", 5, &data))?;
@@ -153,7 +153,7 @@ fn empty_trees_are_empty() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_say_where_and_what_would_be_right() {
+fn errors_name_the_place_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("# .PCD v0.7\n", "the start of the file is \"# .PCD v0.7\"");
     let text = |from: &str, to: &str| {

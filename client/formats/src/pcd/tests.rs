@@ -51,10 +51,10 @@ fn compressed_file(padding: bool) -> Vec<u8> {
     file
 }
 
-fn refused(file: impl AsRef<[u8]>, says: &str) {
+fn refused(file: impl AsRef<[u8]>, text: &str) {
     match read(file.as_ref()) {
-        Ok(points) => panic!("{says}: {points:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(points) => panic!("{text}: {points:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 
@@ -109,7 +109,7 @@ fn the_viewpoint_is_the_pose() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_say_where_and_what_would_be_right() {
+fn errors_name_the_place_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("ply\n", "the start of the file is \"ply\"");
     refused(ascii_file().replace("0.7\nF", "0.8\nF"), "line 2: VERSION is \"0.8\"; it has to be 0.5, 0.6 or 0.7");

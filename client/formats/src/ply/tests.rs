@@ -49,10 +49,10 @@ fn binary_file(big: bool) -> Vec<u8> {
     file
 }
 
-fn refused(file: impl AsRef<[u8]>, says: &str) {
+fn refused(file: impl AsRef<[u8]>, text: &str) {
     match read(file.as_ref()) {
-        Ok(points) => panic!("{says}: {points:?}"),
-        Err(error) => assert!(error.to_string().contains(says), "{error:?} should say {says}: {error}"),
+        Ok(points) => panic!("{text}: {points:?}"),
+        Err(error) => assert!(error.to_string().contains(text), "{error:?} should say {text}: {error}"),
     }
 }
 
@@ -70,7 +70,7 @@ fn every_encoding_gives_the_same_points() -> Result<(), FormatError> {
 }
 
 #[test]
-fn errors_say_where_and_what_would_be_right() {
+fn errors_name_the_place_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("VERSION 0.7\n", "the start of the file is \"VERSION 0.7\"");
     refused(ascii_file().replace("ascii 1.0", "ascii 2.0"), "line 2: format is \"ascii 2.0\"");

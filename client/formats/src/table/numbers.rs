@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_three_decimals_and_look_like_no_other() {
+    fn numbers_have_three_decimals_and_cannot_be_taken_for_another() {
         for (value, text) in [
             (0.0, "0"),
             (-0.0, "0"),

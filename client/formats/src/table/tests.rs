@@ -72,7 +72,7 @@ fn decimal_points_stand_below_each_other() -> io::Result<()> {
 }
 
 #[test]
-fn people_see_no_columns_that_say_nothing_to_them() -> io::Result<()> {
+fn people_see_no_columns_that_they_do_not_need() -> io::Result<()> {
     let columns = ["state", "age_secs", "lower", "order"];
     let row = vec!["door".into(), Cell::Secs(87_720_000_000_000), Cell::Empty, 3_u64.into()];
     let text = |format| -> io::Result<String> {
@@ -101,7 +101,7 @@ impl Write for Gone {
 }
 
 #[test]
-fn a_reader_that_has_gone_away_is_told_by_its_kind() {
+fn a_reader_that_has_gone_away_is_recognised_by_the_kind_of_error() {
     let mut table = TableWriter::new(Format::Csv, &["a"], Gone);
     let result = table.row(vec![Cell::Empty]);
     assert_eq!(result.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));

@@ -204,7 +204,7 @@ fn another_version_is_named() {
 }
 
 #[test]
-fn an_encrypted_bag_says_what_to_do() {
+fn an_encrypted_bag_gives_an_error_with_advice() {
     let writer = BagWriter { encryptor: "rosbag/AesCbcEncryptor", ..BagWriter::default() };
     let error = recorded(&writer.write(&some_chunks())).1.unwrap_err().to_string();
     assert!(error.contains("rosbag/AesCbcEncryptor") && error.contains("rosbag decrypt"), "{error}");

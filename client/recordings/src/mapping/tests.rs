@@ -23,7 +23,7 @@ fn a_mapping_is_read() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 #[test]
-fn what_is_wrong_with_a_mapping_is_said_with_its_entry() {
+fn what_is_wrong_with_a_mapping_is_reported_with_its_entry() {
     for (text, words) in [
         ("states: {door.data: door}", "door.data: use TOPIC.FIELD"),
         ("states: {/door.data: 'door-{name'}", "has no }"),

@@ -127,7 +127,7 @@ fn chunks_and_messages_are_decompressed() {
 }
 
 #[test]
-fn a_wrong_checksum_says_where() {
+fn the_error_of_a_wrong_checksum_names_the_place() {
     let plain = channel(1, "/door", "ros1");
     let error = recorded(&file(&[chunk("", &plain, 77)])).1.unwrap_err().to_string();
     assert!(error.starts_with("the chunk at byte 8 has the checksum"), "{error}");
@@ -141,7 +141,7 @@ fn an_unknown_compression_is_named() {
 }
 
 #[test]
-fn broken_files_say_how() {
+fn the_error_of_a_broken_file_names_the_damage() {
     for (records, text) in [
         (vec![message(3, 5, b"")], "channel 3, which was not described"),
         (vec![channel(1, "/a", "cdr"), channel(1, "/b", "cdr")], "\"/b\"; before it was one of \"/a\""),

@@ -11,7 +11,7 @@ use crate::survey::{Surveyed, TopicSurvey};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FrameChoice {
     /// The user chose it.
-    Asked,
+    Requested,
     /// By its name: `map`, else `odom`.
     Usual,
     /// The frame is the root above the sensors.
@@ -25,7 +25,7 @@ pub enum FrameChoice {
 
 /// The number of times at which sensors are checked, and the cosine of the angle from which on a sensor counts as
 /// leaning, 5 degrees.
-const LOOKS: u32 = 50;
+const CHECKED_TIMES: u32 = 50;
 const LEVEL_COSINE: f64 = 0.996_2;
 
 /// Names of frames that do not move, the best first.
@@ -34,17 +34,17 @@ const USUAL: [&str; 2] = ["map", "odom"];
 pub(super) fn choose(
     surveyed: &Surveyed,
     plans: &[TopicPlan],
-    asked: Option<&str>,
+    requested: Option<&str>,
 ) -> Result<(Option<String>, FrameChoice), PlanError> {
     let placed =
         || surveyed.topics.iter().zip(plans).filter(|(_, plan)| plan.grid.is_some() || !plan.positions.is_empty());
     let frames = &surveyed.frames;
-    if let Some(asked) = asked {
-        let asked = crate::frames::frame_name(asked);
-        if frames.knows(asked) || placed().any(|(topic, _)| topic.frame == asked) {
-            return Ok((Some(asked.to_owned()), FrameChoice::Asked));
+    if let Some(requested) = requested {
+        let requested = crate::frames::frame_name(requested);
+        if frames.knows(requested) || placed().any(|(topic, _)| topic.frame == requested) {
+            return Ok((Some(requested.to_owned()), FrameChoice::Requested));
         }
-        return Err(PlanError::NoFrame { frame: asked.to_owned(), frames: names(surveyed) });
+        return Err(PlanError::NoFrame { frame: requested.to_owned(), frames: names(surveyed) });
     }
     // Sensors move: the frame must be another one than their own frame. Sensors come first, because without a place no
     // observation is made of their messages.
@@ -78,8 +78,8 @@ pub(super) fn choose(
 pub(super) fn is_level(surveyed: &Surveyed, topic: &TopicSurvey, frame: Option<&str>) -> bool {
     let (Some(frame), Some(stamps)) = (frame, topic.stamps) else { return true };
     let length = i128::from(stamps.last_nanos) - i128::from(stamps.first_nanos);
-    (0..=LOOKS).all(|look| {
-        let elapsed = length * i128::from(look) / i128::from(LOOKS);
+    (0..=CHECKED_TIMES).all(|number| {
+        let elapsed = length * i128::from(number) / i128::from(CHECKED_TIMES);
         let time_nanos = stamps.first_nanos.saturating_add(i64::try_from(elapsed).unwrap_or(i64::MAX));
         let pose = surveyed.frames.pose(&topic.frame, frame, time_nanos);
         // A scanner that hangs upside down is level, too.

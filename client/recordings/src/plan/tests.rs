@@ -99,7 +99,7 @@ fn a_frame_is_found_or_asked_for() -> Outcome {
     let some = |frame: &str, choice| Ok((Some(frame.to_owned()), choice));
     let without = surveyed(scan(), &[]);
     assert_eq!(chosen(&without, None), Ok((None, FrameChoice::None)), "a sensor of which nothing is known moves");
-    assert_eq!(chosen(&without, Some("/laser")), some("laser", FrameChoice::Asked));
+    assert_eq!(chosen(&without, Some("/laser")), some("laser", FrameChoice::Requested));
     let fixed = surveyed(scan(), &[("base", "laser")]);
     assert_eq!(chosen(&fixed, None), Ok((None, FrameChoice::None)), "where the robot was is not known");
     let mut above = surveyed(scan(), &[]);

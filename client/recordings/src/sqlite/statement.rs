@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_whole_number_stands_for_the_number_of_the_row() {
+    fn only_a_whole_number_means_the_number_of_the_row() {
         assert_eq!(found("CREATE TABLE a(id INT PRIMARY KEY)").1, None);
         assert_eq!(found("CREATE TABLE a(id INTEGER, b INTEGER, PRIMARY KEY (id, b))").1, None);
         assert_eq!(found("CREATE TABLE a(id INTEGER PRIMARY KEY DESC)").1, None);

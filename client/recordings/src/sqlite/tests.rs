@@ -274,7 +274,7 @@ fn a_page_outside_of_the_file_is_broken_and_a_missing_one_cut_off() {
 }
 
 #[test]
-fn headers_that_are_not_read_say_why() {
+fn headers_that_are_not_read_give_the_reason() {
     let bytes = written(&numbered(1));
     for (place, value, text) in
         [(0, 0, "no SQLite database"), (16, 3, "pages of"), (20, 200, "usable"), (59, 2, "UTF-16")]

@@ -59,8 +59,8 @@ pub enum GridOfficeError {
     #[error("{option} must be {allowed}, and is {given}")]
     OutOfRange { option: &'static str, allowed: String, given: String },
     /// People, chairs and doors alone make more changes.
-    #[error("changes_per_day is {asked}, and the routines of this office alone make {least:.1}")]
-    TooQuiet { asked: f64, least: f64 },
+    #[error("changes_per_day is {requested}, and the routines of this office alone make {least:.1}")]
+    TooQuiet { requested: f64, least: f64 },
 }
 
 impl GridOfficeOptions {

@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_cells_change_as_were_asked_for_each_once() {
+    fn as_many_cells_change_as_were_requested_each_once() {
         for (tiles, wanted) in [(1, 60), (8, 100), (417, 15_000), (417, 26_000), (2000, 15_000)] {
             let inventory = placed(tiles, wanted);
             assert_eq!(inventory.cells.len(), wanted as usize);

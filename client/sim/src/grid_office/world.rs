@@ -53,7 +53,7 @@ impl World {
         let sample = world.sample();
         let least = world.mean_changes(&sample, 0.0);
         if changes_per_day < least {
-            return Err(GridOfficeError::TooQuiet { asked: changes_per_day, least });
+            return Err(GridOfficeError::TooQuiet { requested: changes_per_day, least });
         }
         // A flicker makes two changes, or fewer where it overlaps another flicker or a routine.
         let mut rate = (changes_per_day - least) / 2.0;

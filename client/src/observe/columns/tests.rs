@@ -114,7 +114,7 @@ proptest! {
 }
 
 #[test]
-fn positions_travel_as_coordinates_of_names_that_say_so() {
+fn positions_travel_as_coordinates_with_names_for_them() {
     let at = |state, coordinates: &[f64]| Entry { position: Position::of(coordinates), ..entry(state, 0, 0.0) };
     let entries = [at(1, &[1.5, -2.0]), entry(0, 0, 1.0), at(2, &[0.0, 1.0, 2.0]), at(1, &[3.0, 4.0])];
     let mut table = StreamTable::default();

@@ -100,7 +100,7 @@ impl Fake {
         mut requests: Streaming<ObserveRequest>,
         replies: &mpsc::Sender<Result<ObserveResponse, Status>>,
     ) -> Result<(), Status> {
-        let say = |message| replies.send(Ok(ObserveResponse { message: Some(message) }));
+        let send_reply = |message| replies.send(Ok(ObserveResponse { message: Some(message) }));
         let hello = requests.message().await?.and_then(|request| request.message);
         let Some(observe_request::Message::Hello(hello)) = hello else { return Err(Status::invalid_argument("Hello")) };
         let welcome = {
@@ -122,10 +122,10 @@ impl Fake {
                 ..Welcome::default()
             }
         };
-        let _ = say(observe_response::Message::Welcome(welcome)).await;
+        let _ = send_reply(observe_response::Message::Welcome(welcome)).await;
         let mut names = Vec::new();
         if matches!(act, Act::Probe) {
-            let _ = say(observe_response::Message::Probe(Probe {})).await;
+            let _ = send_reply(observe_response::Message::Probe(Probe {})).await;
             let answer = requests.message().await?.and_then(|request| request.message);
             assert_eq!(answer, Some(observe_request::Message::Alive(Alive {})));
         }
@@ -139,7 +139,7 @@ impl Fake {
                 }
                 Act::End(reason) => {
                     let goodbye = Goodbye { reason: reason.into(), durable_sequence: 0, detail: "so".to_owned() };
-                    let _ = say(observe_response::Message::Goodbye(goodbye)).await;
+                    let _ = send_reply(observe_response::Message::Goodbye(goodbye)).await;
                     return Err(Status::unavailable("so"));
                 }
                 Act::Serve
@@ -158,7 +158,7 @@ impl Fake {
                         return Ok(());
                     }
                     let durable_sequence = ack.durable_sequence;
-                    let _ = say(observe_response::Message::Ack(ack)).await;
+                    let _ = send_reply(observe_response::Message::Ack(ack)).await;
                     if matches!(act, Act::ServeAndDisplace) {
                         let details = ErrorDetails::with_error_info("IDLE", "tidemap", HashMap::new());
                         return Err(Status::with_error_details(Code::Unavailable, "idle", details));
@@ -166,7 +166,7 @@ impl Fake {
                     if matches!(act, Act::ServeAndStop) {
                         let (reason, detail) = (GoodbyeReason::Shutdown.into(), String::new());
                         let goodbye = Goodbye { reason, durable_sequence, detail };
-                        let _ = say(observe_response::Message::Goodbye(goodbye)).await;
+                        let _ = send_reply(observe_response::Message::Goodbye(goodbye)).await;
                         return Err(Status::unavailable("stopping"));
                     }
                 }
@@ -322,7 +322,7 @@ async fn a_key_that_an_ended_stream_still_holds_is_waited_for() -> Tested {
 }
 
 #[tokio::test]
-async fn a_producer_that_is_asked_says_that_it_is_there() -> Tested {
+async fn a_producer_that_is_asked_answers_that_it_is_there() -> Tested {
     let (_fake, mut producer) = producer(&[Act::Probe]).await?;
     assert_eq!(send(&mut producer, &[1.0]).await, Ok(()));
     Ok(())
@@ -379,7 +379,7 @@ async fn a_daemon_that_has_everything_and_is_gone_does_not_hold_up_the_end() -> 
 }
 
 #[tokio::test]
-async fn a_producer_that_announced_data_time_says_that_it_is_gone() -> Tested {
+async fn a_producer_that_announced_data_time_announces_its_end() -> Tested {
     let acts = [Act::ServeAndStop, Act::Refuse(Code::Unavailable), Act::Refuse(Code::Unavailable), Act::Serve];
     let (fake, mut producer) = producer_with(&acts, |options| ProducerOptions { nightly: true, ..options }).await?;
     send(&mut producer, &[1.0]).await?;

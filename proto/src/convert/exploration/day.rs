@@ -183,20 +183,20 @@ mod tests {
 
     use super::*;
 
-    fn asked() -> v1::PlanDayRequest {
+    fn request() -> v1::PlanDayRequest {
         v1::PlanDayRequest { date: "2016-03-21".to_owned(), ..v1::PlanDayRequest::default() }
     }
 
     #[test]
     fn a_plain_day_is_of_all_locations() {
-        let question = day_from_wire(asked()).expect("right");
+        let question = day_from_wire(request()).expect("right");
         assert_eq!(question.targets, DayTargets::Locations(Vec::new()));
         assert_eq!((question.exploration_weight, question.strategy), (1.0, Strategy::MonteCarlo));
         assert_eq!(question.worth.measure, InformationMeasure::RaL);
         let information = v1::InformationMeasure::Both.into();
-        let both = day_from_wire(v1::PlanDayRequest { information, ..asked() }).expect("right");
+        let both = day_from_wire(v1::PlanDayRequest { information, ..request() }).expect("right");
         assert_eq!(both.worth.measure, InformationMeasure::Both);
-        let one = day_from_wire(v1::PlanDayRequest { exactly_one: true, ..asked() }).expect("right");
+        let one = day_from_wire(v1::PlanDayRequest { exactly_one: true, ..request() }).expect("right");
         assert_eq!(one.targets, DayTargets::ExactlyOne(Vec::new()));
     }
 
@@ -206,19 +206,19 @@ mod tests {
         let locations = vec!["hall".to_owned()];
         let viewpoints = vec![v1::Viewpoint::default()];
         let tour = Some(v1::PlanTourRequest::default());
-        let both = v1::PlanDayRequest { locations: locations.clone(), viewpoints: viewpoints.clone(), ..asked() };
+        let both = v1::PlanDayRequest { locations: locations.clone(), viewpoints: viewpoints.clone(), ..request() };
         assert_eq!(field(both), "locations");
-        assert_eq!(field(v1::PlanDayRequest { locations, tour: tour.clone(), ..asked() }), "tour");
-        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, viewpoints, ..asked() }), "exactly_one");
-        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, tour, ..asked() }), "exactly_one");
+        assert_eq!(field(v1::PlanDayRequest { locations, tour: tour.clone(), ..request() }), "tour");
+        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, viewpoints, ..request() }), "exactly_one");
+        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, tour, ..request() }), "exactly_one");
         let information = v1::InformationMeasure::Both.into();
         let views = vec![v1::Viewpoint::default()];
-        assert_eq!(field(v1::PlanDayRequest { viewpoints: views, information, ..asked() }), "information");
-        assert_eq!(field(v1::PlanDayRequest { information: 9, ..asked() }), "information");
+        assert_eq!(field(v1::PlanDayRequest { viewpoints: views, information, ..request() }), "information");
+        assert_eq!(field(v1::PlanDayRequest { information: 9, ..request() }), "information");
         let task_states = vec!["door".to_owned()];
-        assert_eq!(field(v1::PlanDayRequest { task_states, ..asked() }), "task_states");
-        assert_eq!(field(v1::PlanDayRequest { exploration_weight: Some(1.5), ..asked() }), "exploration_weight");
-        assert_eq!(field(v1::PlanDayRequest { date: String::new(), ..asked() }), "date");
-        assert_eq!(field(v1::PlanDayRequest { start_node: "hall".to_owned(), ..asked() }), "start_node");
+        assert_eq!(field(v1::PlanDayRequest { task_states, ..request() }), "task_states");
+        assert_eq!(field(v1::PlanDayRequest { exploration_weight: Some(1.5), ..request() }), "exploration_weight");
+        assert_eq!(field(v1::PlanDayRequest { date: String::new(), ..request() }), "date");
+        assert_eq!(field(v1::PlanDayRequest { start_node: "hall".to_owned(), ..request() }), "start_node");
     }
 }

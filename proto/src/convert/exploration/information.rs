@@ -153,21 +153,21 @@ pub fn reached_places_to_wire(places: &[(ReachabilityCell, Attempts)]) -> v1::Li
 mod tests {
     use super::*;
 
-    fn asked() -> v1::GetInformationRequest {
+    fn request() -> v1::GetInformationRequest {
         v1::GetInformationRequest { times_nanos: vec![5], ..v1::GetInformationRequest::default() }
     }
 
     #[test]
     fn information_is_asked_of_names_or_of_a_region() {
         let field = |request| information_from_wire(request).expect_err("wrong").field;
-        assert_eq!(field(asked()), "states");
+        assert_eq!(field(request()), "states");
         let (states, region) = (vec!["door".to_owned()], Some(v1::CellBox::default()));
-        assert_eq!(field(v1::GetInformationRequest { states: states.clone(), region, ..asked() }), "region");
+        assert_eq!(field(v1::GetInformationRequest { states: states.clone(), region, ..request() }), "region");
         let model = Some(v1::ModelSelector { kind: v1::ModelKind::Poisson.into(), ..v1::ModelSelector::default() });
-        assert_eq!(field(v1::GetInformationRequest { region, model, ..asked() }), "model.kind");
+        assert_eq!(field(v1::GetInformationRequest { region, model, ..request() }), "model.kind");
         let locations = vec!["hall".to_owned(), "a/b".to_owned()];
-        assert_eq!(field(v1::GetInformationRequest { locations, ..asked() }), "locations[1]");
-        let question = information_from_wire(v1::GetInformationRequest { states: states.clone(), ..asked() });
+        assert_eq!(field(v1::GetInformationRequest { locations, ..request() }), "locations[1]");
+        let question = information_from_wire(v1::GetInformationRequest { states: states.clone(), ..request() });
         let targets = InformationTargets::Named { states, locations: Vec::new() };
         assert_eq!(question.map(|question| question.targets), Ok(targets));
     }

@@ -131,20 +131,20 @@ mod tests {
     use super::*;
     use crate::convert::time::timestamp;
 
-    fn asked(strategy: v1::SlotStrategy) -> v1::PlanSlotRequest {
+    fn request(strategy: v1::SlotStrategy) -> v1::PlanSlotRequest {
         v1::PlanSlotRequest { time: Some(timestamp(5)), strategy: strategy.into(), ..v1::PlanSlotRequest::default() }
     }
 
     #[test]
     fn a_plain_slot_goes_by_information_with_the_newest_readings() {
-        let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
+        let question = slot_question_from_wire(request(v1::SlotStrategy::Unspecified)).expect("right");
         assert_eq!(question.choice, LocationChoice::Information);
         assert!(question.selector.is_blended() && question.allowance.is_none() && question.locations.is_empty());
         assert_eq!(question.worth.measure, InformationMeasure::RaL);
         let information = v1::InformationMeasure::Both.into();
-        let both = v1::PlanSlotRequest { information, ..asked(v1::SlotStrategy::Unspecified) };
+        let both = v1::PlanSlotRequest { information, ..request(v1::SlotStrategy::Unspecified) };
         assert_eq!(slot_question_from_wire(both).expect("right").worth.measure, InformationMeasure::Both);
-        let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
+        let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..request(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
         assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
         assert!(!novel.selector.is_blended());
@@ -155,16 +155,16 @@ mod tests {
         use v1::{SlotStrategy::*, plan_slot_request::Allowance};
         let field = |request| slot_question_from_wire(request).expect_err("wrong").field;
         let model = Some(v1::ModelSelector::default());
-        assert_eq!(field(v1::PlanSlotRequest { time: None, ..asked(Online) }), "time");
-        assert_eq!(field(v1::PlanSlotRequest { strategy: 99, ..asked(Online) }), "strategy");
-        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, model, ..asked(Online) }), "exactly_one");
-        assert_eq!(field(v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(Online) }), "planned");
-        assert_eq!(field(v1::PlanSlotRequest { spent: 1, ..asked(Online) }), "allowance");
-        assert_eq!(field(v1::PlanSlotRequest { information: 9, ..asked(Online) }), "information");
+        assert_eq!(field(v1::PlanSlotRequest { time: None, ..request(Online) }), "time");
+        assert_eq!(field(v1::PlanSlotRequest { strategy: 99, ..request(Online) }), "strategy");
+        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, model, ..request(Online) }), "exactly_one");
+        assert_eq!(field(v1::PlanSlotRequest { planned: "hall".to_owned(), ..request(Online) }), "planned");
+        assert_eq!(field(v1::PlanSlotRequest { spent: 1, ..request(Online) }), "allowance");
+        assert_eq!(field(v1::PlanSlotRequest { information: 9, ..request(Online) }), "information");
         let information = v1::InformationMeasure::Learn.into();
-        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, information, ..asked(Online) }), "information");
+        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, information, ..request(Online) }), "information");
         let allowance = Some(Allowance::Explore(3));
-        assert_eq!(field(v1::PlanSlotRequest { allowance, ..asked(MonteCarlo) }), "allowance");
-        assert!(slot_question_from_wire(v1::PlanSlotRequest { allowance, ..asked(OnlineError) }).is_ok());
+        assert_eq!(field(v1::PlanSlotRequest { allowance, ..request(MonteCarlo) }), "allowance");
+        assert!(slot_question_from_wire(v1::PlanSlotRequest { allowance, ..request(OnlineError) }).is_ok());
     }
 }

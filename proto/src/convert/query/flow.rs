@@ -148,13 +148,13 @@ mod tests {
         v1::FlowSource { state, motion_state, ..v1::FlowSource::default() }
     }
 
-    fn asked(source: v1::FlowSource) -> v1::PredictFlowRequest {
+    fn request(source: v1::FlowSource) -> v1::PredictFlowRequest {
         v1::PredictFlowRequest { source: Some(source), times_nanos: vec![5], ..v1::PredictFlowRequest::default() }
     }
 
     #[test]
     fn a_plain_question_has_the_defaults() {
-        let question = flow_from_wire(asked(source())).expect("right");
+        let question = flow_from_wire(request(source())).expect("right");
         assert_eq!((question.window_nanos, question.source.directions), (FLOW_INTERVAL_NANOS, 8));
         assert_eq!((question.source.region.clone(), question.source.edge_m), (None, None));
         assert_eq!(source_from_wire("source", Some(flow_source_to_wire(question.source.clone()))), Ok(question.source));
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named() {
-        let field = |source| flow_from_wire(asked(source)).expect_err("wrong").field;
+        let field = |source| flow_from_wire(request(source)).expect_err("wrong").field;
         let region = |low: Vec<f64>, high: Vec<f64>| Some(v1::PositionBox { low_m: low, high_m: high });
         for (wrong, expected) in [
             (v1::FlowSource { state: String::new(), ..source() }, "source.state"),
@@ -175,7 +175,7 @@ mod tests {
         ] {
             assert_eq!(field(wrong), expected);
         }
-        let nothing = v1::PredictFlowRequest { source: None, ..asked(source()) };
+        let nothing = v1::PredictFlowRequest { source: None, ..request(source()) };
         assert_eq!(flow_from_wire(nothing).expect_err("wrong").field, "source");
     }
 

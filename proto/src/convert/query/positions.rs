@@ -170,13 +170,13 @@ mod tests {
     use super::*;
     use crate::convert::time::duration;
 
-    fn asked() -> v1::PredictPositionsRequest {
+    fn request() -> v1::PredictPositionsRequest {
         v1::PredictPositionsRequest { times_nanos: vec![5], ..v1::PredictPositionsRequest::default() }
     }
 
     #[test]
     fn a_plain_question_has_the_defaults() {
-        let question = positions_from_wire(asked()).expect("right");
+        let question = positions_from_wire(request()).expect("right");
         assert_eq!(question.kind, ModelKind::HypertimeEm { clusters: 3 });
         assert_eq!(
             (question.edge_m, question.window_nanos, question.region, question.top),
@@ -191,31 +191,31 @@ mod tests {
             Some(v1::ModelSelector { kind: kind.into(), persistence, memory, ..v1::ModelSelector::default() })
         };
         let spectral = model(v1::ModelKind::Spectral, false, false);
-        assert_eq!(field(v1::PredictPositionsRequest { model: spectral, ..asked() }), "model.kind");
+        assert_eq!(field(v1::PredictPositionsRequest { model: spectral, ..request() }), "model.kind");
         let persistent = model(v1::ModelKind::Unspecified, true, false);
-        assert_eq!(field(v1::PredictPositionsRequest { model: persistent, ..asked() }), "model.persistence");
+        assert_eq!(field(v1::PredictPositionsRequest { model: persistent, ..request() }), "model.persistence");
         let remembering = model(v1::ModelKind::HypertimeKm, false, true);
-        assert_eq!(field(v1::PredictPositionsRequest { model: remembering, ..asked() }), "model.memory");
+        assert_eq!(field(v1::PredictPositionsRequest { model: remembering, ..request() }), "model.memory");
         for resolution_m in [-1.0, f64::NAN, f64::INFINITY, 1e13] {
-            assert_eq!(field(v1::PredictPositionsRequest { resolution_m, ..asked() }), "resolution_m");
+            assert_eq!(field(v1::PredictPositionsRequest { resolution_m, ..request() }), "resolution_m");
         }
         let count_window = Some(duration(WINDOW_MAX_NANOS + 1));
-        assert_eq!(field(v1::PredictPositionsRequest { count_window, ..asked() }), "count_window");
+        assert_eq!(field(v1::PredictPositionsRequest { count_window, ..request() }), "count_window");
         let region = |low: f64, high: f64| Some(v1::PositionBox { low_m: vec![low; 2], high_m: vec![high; 2] });
-        assert_eq!(field(v1::PredictPositionsRequest { region: region(1.0, 1.0), ..asked() }), "region.high_m");
-        assert_eq!(field(v1::PredictPositionsRequest { region: region(f64::NAN, 1.0), ..asked() }), "region.low_m");
+        assert_eq!(field(v1::PredictPositionsRequest { region: region(1.0, 1.0), ..request() }), "region.high_m");
+        assert_eq!(field(v1::PredictPositionsRequest { region: region(f64::NAN, 1.0), ..request() }), "region.low_m");
         let endless = region(0.0, f64::INFINITY);
-        assert_eq!(field(v1::PredictPositionsRequest { region: endless, ..asked() }), "region.high_m");
+        assert_eq!(field(v1::PredictPositionsRequest { region: endless, ..request() }), "region.high_m");
     }
 
     #[test]
     fn numbers_of_places_are_checked_one_by_one() {
-        let asked = || v1::PredictAtPlacesRequest { times_nanos: vec![5], ..v1::PredictAtPlacesRequest::default() };
+        let request = || v1::PredictAtPlacesRequest { times_nanos: vec![5], ..v1::PredictAtPlacesRequest::default() };
         let field = |request| places_from_wire(request).expect_err("wrong").field;
         let places_m = vec![1.0, 2e12];
-        assert_eq!(field(v1::PredictAtPlacesRequest { places_m, ..asked() }), "places_m[1]");
+        assert_eq!(field(v1::PredictAtPlacesRequest { places_m, ..request() }), "places_m[1]");
         let density_values = vec![f64::NAN];
-        assert_eq!(field(v1::PredictAtPlacesRequest { density_values, ..asked() }), "density_values[0]");
-        assert_eq!(field(v1::PredictAtPlacesRequest { interval_level: 1.0, ..asked() }), "interval_level");
+        assert_eq!(field(v1::PredictAtPlacesRequest { density_values, ..request() }), "density_values[0]");
+        assert_eq!(field(v1::PredictAtPlacesRequest { interval_level: 1.0, ..request() }), "interval_level");
     }
 }

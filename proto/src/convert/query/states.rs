@@ -105,7 +105,7 @@ pub fn forecast_to_wire(
 mod tests {
     use super::*;
 
-    fn asked() -> v1::PredictStatesRequest {
+    fn request() -> v1::PredictStatesRequest {
         v1::PredictStatesRequest {
             states: vec!["door".to_owned()],
             times_nanos: vec![5],
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_level_of_zero_asks_for_no_intervals() {
-        let level = |interval_level| states_from_wire(v1::PredictStatesRequest { interval_level, ..asked() });
+        let level = |interval_level| states_from_wire(v1::PredictStatesRequest { interval_level, ..request() });
         assert_eq!(level(0.0).expect("right").interval_level, None);
         assert_eq!(level(0.9).expect("right").interval_level, Some(0.9));
         for wrong in [1.0, -0.1, f64::NAN] {
@@ -126,8 +126,8 @@ mod tests {
     #[test]
     fn names_and_times_are_needed() {
         let field = |request| states_from_wire(request).expect_err("wrong").field;
-        assert_eq!(field(v1::PredictStatesRequest { states: Vec::new(), ..asked() }), "states");
-        assert_eq!(field(v1::PredictStatesRequest { times_nanos: Vec::new(), ..asked() }), "times_nanos");
-        assert_eq!(field(v1::PredictStatesRequest { times_nanos: vec![5, -1], ..asked() }), "times_nanos[1]");
+        assert_eq!(field(v1::PredictStatesRequest { states: Vec::new(), ..request() }), "states");
+        assert_eq!(field(v1::PredictStatesRequest { times_nanos: Vec::new(), ..request() }), "times_nanos");
+        assert_eq!(field(v1::PredictStatesRequest { times_nanos: vec![5, -1], ..request() }), "times_nanos[1]");
     }
 }

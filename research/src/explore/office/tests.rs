@@ -35,7 +35,7 @@ fn a_protocol_is_read_and_has_the_defaults_of_the_paper() {
 }
 
 #[test]
-fn what_a_protocol_says_wrongly_is_named() {
+fn what_is_wrong_in_a_protocol_is_named() {
     for (from, to, message) in [
         ("days: 4", "days: 0", "line 3: days is \"0\": it has to be a whole number from 1 to 60"),
         ("tours: 16", "tours: 49", "line 4: tours is \"49\": it has to be a whole number from 1 to 48"),

@@ -18,7 +18,7 @@ fn a_terminal_that_learns_is_used_more_than_one_that_stays() {
 }
 
 #[test]
-fn people_come_as_often_as_their_rate_says() {
+fn people_come_as_often_as_their_rate() {
     let house = House::new(4);
     let slots = (0..140).flat_map(|day| (0..SLOTS).map(move |slot| (day, slot)));
     let hour = |slot: usize| WORKING_HOURS.start as f64 + (slot * SLOT_MINUTES) as f64 / HOUR_MINUTES as f64;

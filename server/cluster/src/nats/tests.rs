@@ -57,8 +57,8 @@ async fn three_servers_behave_as_an_engine() {
             break checked;
         }
     };
-    let says: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
-    assert_eq!(says, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
+    let reported: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
+    assert_eq!(reported, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
     // The largest message can be appended, and both kinds of read return it.
     let largest = Bytes::from(vec![7; MESSAGE_BYTES_MAX]);
     first.create_stream("tm_large", 3).await.expect("create");
@@ -115,7 +115,7 @@ async fn one_server_behaves_as_an_engine_and_is_checked() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn errors_say_what_is_known_of_the_effect() {
+async fn errors_state_what_is_known_of_the_effect() {
     let mut servers = match NatsServers::start(1).await {
         Ok(servers) => servers,
         Err(reason) => return println!("SKIPPED: {reason}"),
@@ -457,7 +457,7 @@ async fn a_server_that_is_too_old_is_refused() {
 
 /// A server that is cut off from the others returns its own part of a stream, which may end before the stream.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nobody_says_where_a_stream_ends_that_has_lost_most_servers() {
+async fn a_stream_that_has_lost_most_servers_has_no_known_end() {
     let mut servers = match NatsServers::start(3).await {
         Ok(servers) => servers,
         Err(reason) => return println!("SKIPPED: {reason}"),

@@ -16,10 +16,10 @@ use crate::{
 };
 
 /// Number of messages before the end that are read to find void ones, by a daemon that has not read them before.
-pub(super) const LOOK_BACK: u64 = 1024;
+pub(super) const READ_BACK: u64 = 1024;
 /// Number of messages that are read before the last one that was read, by a daemon that has read all messages in their
 /// order up to that one.
-pub(super) const LOOK_BACK_FOLLOWING: u64 = 64;
+pub(super) const READ_BACK_FOLLOWING: u64 = 64;
 
 /// The relation of the own log to the shared one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -189,9 +189,9 @@ impl<E: Engine> Driver<E> {
         Ok(scan)
     }
 
-    /// The relation of the own log to the shared one. Reads the last messages, from `look_back` before the end on, or
+    /// The relation of the own log to the shared one. Reads the last messages, from `read_back` before the end on, or
     /// before the last known one.
-    pub(super) async fn relation(&mut self, look_back: u64) -> Result<Relation, CompareError> {
+    pub(super) async fn relation(&mut self, read_back: u64) -> Result<Relation, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
         let own = self.shared.log.end();
         // The last message may be void: its content is not relied on.
@@ -203,11 +203,11 @@ impl<E: Engine> Driver<E> {
         };
         let (from, to) = if own.position < last.before.position {
             let near = self.near(own.position, ends.first, ends.last).await?;
-            (near.saturating_sub(LOOK_BACK_FOLLOWING), (near + LOOK_BACK_FOLLOWING).min(ends.last))
+            (near.saturating_sub(READ_BACK_FOLLOWING), (near + READ_BACK_FOLLOWING).min(ends.last))
         } else {
             let known = ends.last.min(self.last_sequence.max(1));
-            let from = if look_back < LOOK_BACK { known } else { ends.last };
-            (from.saturating_sub(look_back), ends.last)
+            let from = if read_back < READ_BACK { known } else { ends.last };
+            (from.saturating_sub(read_back), ends.last)
         };
         let scan = self.scan(from.max(ends.first), to).await?;
         self.epoch = self.epoch.max(scan.epoch);

@@ -52,13 +52,13 @@ pub(super) struct Driver<E: Engine> {
     pub(super) assembly: Assembly,
     pub(super) epoch: u64,
     pub(super) lease_watch: LeaseWatch,
-    pub(super) lease_looked: Option<Instant>,
+    pub(super) lease_checked: Option<Instant>,
     /// The end of the own log and the stamp of the stream's last message when they were last found to be equal.
     pub(super) probed_stamp: Option<(LogPoint, u64)>,
     /// The time at which the end of the stream was read last, and the number of its last message then.
-    pub(super) end_heard: Option<(Instant, u64)>,
+    pub(super) end_received: Option<(Instant, u64)>,
     /// Whether this daemon has searched far back for void messages.
-    pub(super) has_looked_back: bool,
+    pub(super) has_read_back: bool,
     /// The lease, from the take-over of the log until it is written.
     pub(super) keeper: Option<LeaseKeeper>,
 }
@@ -86,10 +86,10 @@ impl<E: Engine> Driver<E> {
             assembly: Assembly::default(),
             epoch: 0,
             lease_watch: LeaseWatch::default(),
-            lease_looked: None,
+            lease_checked: None,
             probed_stamp: None,
-            end_heard: None,
-            has_looked_back: false,
+            end_received: None,
+            has_read_back: false,
             keeper: None,
         }
     }
@@ -188,19 +188,19 @@ impl<E: Engine> Driver<E> {
     }
 
     /// Records that this daemon has all of the shared log as of `moment`, when it ended at `position`.
-    pub(super) fn heard_of(&self, position: u64, moment: Instant) {
+    pub(super) fn note_contact(&self, position: u64, moment: Instant) {
         self.sees_end(position);
-        self.shared.status.send_modify(|status| status.heard = status.heard.max(Some(moment)));
+        self.shared.status.send_modify(|status| status.last_contact = status.last_contact.max(Some(moment)));
     }
 
     /// This daemon cannot write its own log: for a while it does not read the lease, so that others take it.
     pub(super) fn let_others_write(&mut self) {
-        self.lease_looked = Some(Instant::now() + LET_OTHERS_WRITE);
+        self.lease_checked = Some(Instant::now() + LET_OTHERS_WRITE);
     }
 
     /// Whether this daemon leaves the lease to others.
     pub(super) fn lets_others_write(&self) -> bool {
-        self.lease_looked.is_some_and(|looked| looked > Instant::now())
+        self.lease_checked.is_some_and(|checked| checked > Instant::now())
     }
 
     /// Waits for `duration`, or until an order to stop comes.

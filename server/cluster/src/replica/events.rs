@@ -72,7 +72,7 @@ pub struct ReplicaStatus {
     /// Position of the last record of the shared log, as it was last received.
     pub shared_position: u64,
     /// The last time at which the end of the shared log was received.
-    pub heard: Option<Instant>,
+    pub last_contact: Option<Instant>,
     /// The current fault, if there is one.
     pub trouble: Option<String>,
     /// Whether the shared log begins behind the end of the own one, so that the map needs a copy of another daemon's

@@ -9,7 +9,7 @@ use tidemap_store::ForeignGroupError;
 use tokio::{sync::oneshot, time::Instant};
 
 use super::{
-    compare::{CompareError, LOOK_BACK, LOOK_BACK_FOLLOWING, Relation},
+    compare::{CompareError, READ_BACK, READ_BACK_FOLLOWING, Relation},
     driver::{Driver, Next, PROBE, READ_BYTES},
     events::{ReplicaEvent, ReplicaRole, ReplicaStatus},
     settings::Order,
@@ -22,9 +22,9 @@ use crate::{
 /// Time for which a read waits for the next message. The lease is read between these reads.
 pub(super) const READ_PATIENCE: Duration = Duration::from_millis(250);
 /// Number of times that a follower reads the lease within the time that a lease lasts.
-pub(super) const LOOKS_PER_LEASE: u32 = 12;
+pub(super) const CHECKS_PER_LEASE: u32 = 12;
 /// Interval at which a daemon reads a lease that is about to be handed over to it.
-const LOOK_OFTEN: Duration = Duration::from_millis(20);
+const SHORT_CHECK_INTERVAL: Duration = Duration::from_millis(20);
 /// Pause after an error of the engine.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Candidates take a lease one after the other.
@@ -64,9 +64,9 @@ impl<E: Engine> Driver<E> {
         self.assembly.clear();
         while !self.is_stopping() {
             let mut is_ahead = false;
-            let look_back = if self.has_looked_back { LOOK_BACK_FOLLOWING } else { LOOK_BACK };
-            let relation = self.relation(look_back).await;
-            self.has_looked_back |= relation.is_ok();
+            let read_back = if self.has_read_back { READ_BACK_FOLLOWING } else { READ_BACK };
+            let relation = self.relation(read_back).await;
+            self.has_read_back |= relation.is_ok();
             self.set_needs_copy(&relation);
             match relation {
                 Ok(Relation::Holds { last_sequence, .. }) => {
@@ -102,7 +102,7 @@ impl<E: Engine> Driver<E> {
                 Err(error) => self.trouble(Some(error.to_string())),
             }
             // A daemon whose log is longer may append the records that the shared log has forgotten, as its writer.
-            if is_ahead && let Some(revision) = self.look_at_lease().await {
+            if is_ahead && let Some(revision) = self.check_lease().await {
                 return Next::TakeOver(revision);
             }
             self.pause(PAUSE).await;
@@ -125,14 +125,14 @@ impl<E: Engine> Driver<E> {
     }
 
     /// Reads the lease at intervals; returns its revision when this daemon may take it.
-    async fn look_at_lease(&mut self) -> Option<u64> {
+    async fn check_lease(&mut self) -> Option<u64> {
         let now = Instant::now();
         let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
-        let interval = if is_announced { LOOK_OFTEN } else { self.settings.lease / LOOKS_PER_LEASE };
-        if self.lease_looked.is_some_and(|looked| now.saturating_duration_since(looked) < interval) {
+        let interval = if is_announced { SHORT_CHECK_INTERVAL } else { self.settings.lease / CHECKS_PER_LEASE };
+        if self.lease_checked.is_some_and(|checked| now.saturating_duration_since(checked) < interval) {
             return None;
         }
-        self.lease_looked = Some(now);
+        self.lease_checked = Some(now);
         let entry = match self.engine.get(Bucket::Writers, &self.settings.key()).await {
             Ok(entry) => entry,
             Err(error) => {
@@ -141,7 +141,7 @@ impl<E: Engine> Driver<E> {
             }
         };
         let now = Instant::now();
-        self.lease_watch.look(entry.as_ref(), now);
+        self.lease_watch.note(entry.as_ref(), now);
         let lease = self.lease_watch.lease().map(|(_, lease)| lease.writer.clone());
         if let Some(writer) = lease.filter(|writer| !writer.is_empty() && *writer != self.settings.member) {
             self.set_writer(Some(writer));
@@ -156,7 +156,7 @@ impl<E: Engine> Driver<E> {
     }
 
     async fn relation_is_lost(&mut self) -> Result<bool, CompareError> {
-        let relation = self.relation(LOOK_BACK_FOLLOWING).await?;
+        let relation = self.relation(READ_BACK_FOLLOWING).await?;
         // An incomplete group may follow it.
         Ok(!matches!(relation, Relation::Holds { has_more: false, .. }))
     }
@@ -164,14 +164,14 @@ impl<E: Engine> Driver<E> {
     /// Whether the stream ends at the last message that this daemon has read, and with the record that this daemon has
     /// there.
     pub(super) async fn probe(&mut self) -> Result<StreamEnd, CompareError> {
-        let asked = Instant::now();
+        let requested = Instant::now();
         let ends = self.engine.ends(&self.settings.stream).await?;
         if ends.last < self.last_sequence {
             return Ok(StreamEnd::Lost);
         }
         if ends.last > self.last_sequence {
             // Once this daemon has read up to there, it has the whole log as of this moment.
-            self.end_heard = Some((asked, ends.last));
+            self.end_received = Some((requested, ends.last));
             if let Some(part) = self.part_up_to(ends.last, self.last_sequence + 1).await? {
                 self.sees_end(part.after.position);
             }
@@ -189,7 +189,7 @@ impl<E: Engine> Driver<E> {
         if !self.lets_others_write() {
             self.trouble(None);
         }
-        self.heard_of(own.position, asked);
+        self.note_contact(own.position, requested);
         Ok(StreamEnd::Own)
     }
 
@@ -204,12 +204,12 @@ impl<E: Engine> Driver<E> {
                     let _ = done.send(false);
                 }
             }
-            if let Some(revision) = self.look_at_lease().await {
+            if let Some(revision) = self.check_lease().await {
                 return Next::TakeOver(revision);
             }
             let (stream, from) = (self.settings.stream.clone(), self.last_sequence + 1);
             let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
-            let patience = if is_announced { LOOK_OFTEN } else { READ_PATIENCE };
+            let patience = if is_announced { SHORT_CHECK_INTERVAL } else { READ_PATIENCE };
             match self.engine.read_from(&stream, from, READ_BYTES, patience).await {
                 Ok(messages) if !messages.is_empty() => match self.take_in(messages).await {
                     Ok(true) => {}
@@ -264,9 +264,9 @@ impl<E: Engine> Driver<E> {
         }
         // These events are in the own log, whatever failed after them.
         if !followed.is_empty() {
-            self.tell_followed(followed).await;
-            if let Some((asked, _)) = self.end_heard.filter(|&(_, last)| self.last_sequence >= last) {
-                self.heard_of(self.shared.log.position(), asked);
+            self.report_followed(followed).await;
+            if let Some((requested, _)) = self.end_received.filter(|&(_, last)| self.last_sequence >= last) {
+                self.note_contact(self.shared.log.position(), requested);
             }
         }
         taken
@@ -299,7 +299,7 @@ impl<E: Engine> Driver<E> {
         Ok(true)
     }
 
-    pub(super) async fn tell_followed(&mut self, events: Vec<(u64, Event)>) {
+    pub(super) async fn report_followed(&mut self, events: Vec<(u64, Event)>) {
         for (_, event) in &events {
             if let Event::Epoch(epoch) = event {
                 self.set_writer(Some(epoch.writer.clone()));

@@ -62,7 +62,7 @@ impl<E: Engine> Driver<E> {
                 }
                 // The engine has ignored the condition. The message counts as not sent, whatever follows it.
                 Ok(_) => return Sent::Forgotten,
-                Err(AppendIfError::NotExpected) => match self.look_for(message, expected).await {
+                Err(AppendIfError::NotExpected) => match self.find_sent(message, expected).await {
                     Ok(InStream::Mine) => {
                         self.last_sequence = expected + 1;
                         self.trouble(None);
@@ -93,7 +93,7 @@ impl<E: Engine> Driver<E> {
     }
 
     /// The content of the stream behind the message `expected`.
-    async fn look_for(&self, message: &Bytes, expected: u64) -> Result<InStream, EngineError> {
+    async fn find_sent(&self, message: &Bytes, expected: u64) -> Result<InStream, EngineError> {
         let stream = &self.settings.stream;
         let last = self.engine.ends(stream).await?.last;
         if last < expected {

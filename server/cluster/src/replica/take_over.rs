@@ -11,7 +11,7 @@ use tidemap_store::{AppendError, LogPoint, RecordGroup};
 use tokio::time::{Instant, sleep};
 
 use super::{
-    compare::{CompareError, LOOK_BACK_FOLLOWING, Relation},
+    compare::{CompareError, READ_BACK_FOLLOWING, Relation},
     driver::{Driver, Next, READ_BYTES},
     events::ReplicaRole,
     lease_keeper::{LeaseKeeper, LeaseTerms},
@@ -81,7 +81,7 @@ impl<E: Engine> Driver<E> {
 
     /// One attempt; `None`: try again.
     async fn try_to_take_over(&mut self, keeper: &LeaseKeeper, begun: Instant) -> Result<Option<Next>, CompareError> {
-        match self.relation(LOOK_BACK_FOLLOWING).await? {
+        match self.relation(READ_BACK_FOLLOWING).await? {
             Relation::Holds { last_sequence, .. } => {
                 self.last_sequence = last_sequence;
                 self.assembly.clear();
@@ -179,7 +179,7 @@ impl<E: Engine> Driver<E> {
     /// Whether all daemons that read the stream find the end of the own log in it.
     async fn is_in_log(&mut self, keeper: &LeaseKeeper) -> bool {
         while !self.is_stopping() && !keeper.is_lost() {
-            match self.relation(LOOK_BACK_FOLLOWING).await {
+            match self.relation(READ_BACK_FOLLOWING).await {
                 // The records behind it are of the next writer.
                 Ok(relation) => return matches!(relation, Relation::Holds { has_more: false, .. }),
                 Err(error) => self.trouble(Some(error.to_string())),
@@ -234,8 +234,8 @@ impl<E: Engine> Driver<E> {
             return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
         }
         self.epoch = epoch;
-        self.heard_of(records.after.position, Instant::now());
-        self.tell_followed(vec![(records.after.position, event)]).await;
+        self.note_contact(records.after.position, Instant::now());
+        self.report_followed(vec![(records.after.position, event)]).await;
         // An engine that forgets may have had another message under the expected number. Then the epoch is void for all
         // daemons that read the log, and so are all records after it.
         if !self.is_in_log(keeper).await {

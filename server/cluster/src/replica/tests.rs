@@ -157,7 +157,7 @@ impl World {
     }
 
     /// Sets forks aside, and starts the daemons that are due.
-    async fn look_after(&mut self) {
+    async fn repair_and_start(&mut self) {
         for index in 0..self.machines.len() {
             let machine = &mut self.machines[index];
             if machine.starts.is_some_and(|at| at <= Instant::now()) {
@@ -284,7 +284,7 @@ impl World {
             if begun.elapsed() > Duration::from_secs(180) {
                 return Err("not settled after three minutes".to_owned());
             }
-            self.look_after().await;
+            self.repair_and_start().await;
             sleep(Duration::from_millis(100)).await;
         }
         Ok(())
@@ -347,7 +347,7 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
     let chaos = Duration::from_secs(25);
     let mut next_fault = begun + Duration::from_secs(3);
     while begun.elapsed() < chaos {
-        world.look_after().await;
+        world.repair_and_start().await;
         if Instant::now() >= next_fault {
             world.disturb().await;
             next_fault = Instant::now() + Duration::from_millis(world.random.random_range(300..5000));
@@ -360,7 +360,7 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
     world.engine.make_room("tm");
     let calm = Instant::now();
     while !world.is_settled() {
-        world.look_after().await;
+        world.repair_and_start().await;
         sleep(Duration::from_millis(100)).await;
         if calm.elapsed() > Duration::from_secs(180) {
             let states = world.machines.iter().map(|machine| {

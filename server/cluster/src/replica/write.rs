@@ -14,7 +14,7 @@ use super::{
     compare::CompareError,
     driver::{Driver, Next, PROBE},
     events::{ReplicaEvent, ReplicaRole},
-    follow::{LOOKS_PER_LEASE, READ_PATIENCE, StreamEnd},
+    follow::{CHECKS_PER_LEASE, READ_PATIENCE, StreamEnd},
     lease_keeper::LeaseKeeper,
     send::Sent,
     settings::Order,
@@ -69,7 +69,7 @@ impl<E: Engine> Driver<E> {
                     let mut until = Instant::now();
                     if let Some(to) = &to {
                         keeper.announce(to);
-                        until += self.settings.lease / LOOKS_PER_LEASE + READ_PATIENCE;
+                        until += self.settings.lease / CHECKS_PER_LEASE + READ_PATIENCE;
                     }
                     leaves = Some(until);
                     *successor = Some((to, done));
@@ -138,7 +138,7 @@ impl<E: Engine> Driver<E> {
         let is_in = outcome.is_ok();
         self.on_disk(move || log.end_group(written, outcome)).await;
         if is_in {
-            self.heard_of(end, Instant::now());
+            self.note_contact(end, Instant::now());
         }
         match sent {
             _ if is_fatal => Some(Next::Stop),

@@ -49,7 +49,7 @@ impl Columns {
             self.add(&cells, grid.levels());
             self.values = cells.values;
         }
-        Ok(self.tell(index, question))
+        Ok(self.tile_cells(index, question))
     }
 
     fn add(&mut self, cells: &TileCells, levels: (f64, f64)) {
@@ -77,7 +77,7 @@ impl Columns {
         }
     }
 
-    fn tell(&self, index: TileIndex, question: &GridQuestion) -> TileCells {
+    fn tile_cells(&self, index: TileIndex, question: &GridQuestion) -> TileCells {
         let layer = |word: u64| Mask([word, 0, 0, 0, 0, 0, 0, 0]);
         let all_values = self.own != 0;
         let listed = layer(if all_values { self.known } else { self.changed });

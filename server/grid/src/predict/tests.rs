@@ -210,7 +210,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn an_answer_says_of_each_cell_what_its_tile_says(
+    fn an_answer_has_for_each_cell_what_its_tile_has(
         tiles in proptest::collection::vec(((-2..2_i32, -1..1_i32, -1..2_i32), tile()), 0..7),
         corner in (-18..18_i32, -10..10_i32, -10..18_i32),
         size in (0..30_i32, 0..20_i32, 0..20_i32),

@@ -129,7 +129,7 @@ fn heights_do_not_matter_in_a_flat_grid() {
 }
 
 #[test]
-fn limits_are_told() {
+fn what_exceeds_a_limit_is_an_error() {
     let readings = points(at([0.5; 3]), &[[1.0, 0.0, 0.0], [500.0, 0.0, 0.0]]);
     let with = |ray_cells, cells, tiles| cast(&unit(), &readings, CastLimits { ray_cells, cells, tiles });
     assert!(with(501, 503, 63).is_ok());

@@ -164,8 +164,8 @@ impl Gains {
         times: &Times,
         rules: &Rules,
     ) -> Vec<Contribution> {
-        let mut asked = HashSet::new();
-        let missing = toggles.filter(|toggles| !self.by_toggles.contains_key(*toggles) && asked.insert(*toggles));
+        let mut listed = HashSet::new();
+        let missing = toggles.filter(|toggles| !self.by_toggles.contains_key(*toggles) && listed.insert(*toggles));
         missing.map(|toggles| Contribution::new(toggles.clone(), times, rules)).collect()
     }
 

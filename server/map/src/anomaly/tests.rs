@@ -109,9 +109,9 @@ proptest! {
         let found: Vec<Anomaly> = anomalies(&readings, &predicted, confidence(c)).collect();
         let mut naive = Vec::new();
         for &(utc_nanos, value, probability) in &judged {
-            let says_one = probability >= c;
-            let says_zero = probability <= 1.0 - c;
-            if says_one && value < 0.5 || says_zero && value >= 0.5 {
+            let predicts_one = probability >= c;
+            let predicts_zero = probability <= 1.0 - c;
+            if predicts_one && value < 0.5 || predicts_zero && value >= 0.5 {
                 naive.push(Anomaly { utc_nanos, value, probability });
             }
         }

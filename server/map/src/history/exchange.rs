@@ -20,18 +20,18 @@ use super::{
 pub(super) struct Rows {
     pub(super) cell: CellBits,
     pub(super) sum: Sum,
-    /// The model's predictions at all scans. `said` has the predictions at the scans that saw the tile.
-    pub(super) said_ever: Bits,
-    pub(super) said: Bits,
+    /// The model's predictions at all scans. `predicted` has the predictions at the scans that saw the tile.
+    pub(super) predicted_ever: Bits,
+    pub(super) predicted: Bits,
     pub(super) differing: Bits,
 }
 
 impl Rows {
     /// Finds where the cell differs from the predictions of the model by the sum so far.
     pub(super) fn compare(&mut self, seen: &Seen) {
-        self.sum.occupied(&mut self.said_ever);
-        seen.gather(&mut self.said_ever, &mut self.said);
-        self.differing.set_differing(&self.cell.occupied, &self.said, &self.cell.observed);
+        self.sum.occupied(&mut self.predicted_ever);
+        seen.gather(&mut self.predicted_ever, &mut self.predicted);
+        self.differing.set_differing(&self.cell.occupied, &self.predicted, &self.cell.observed);
     }
 }
 

@@ -147,9 +147,9 @@ impl HistoryPiece {
                 samples.map(|sample| (sample.utc_nanos, sample.value)).collect()
             }
             Subject::Cell(tile, cell) => {
-                let is_asked =
+                let is_requested =
                     |day: &&HistoryDay| day.outliers.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
-                let days = self.days.iter().filter(is_asked);
+                let days = self.days.iter().filter(is_requested);
                 let all = days.flat_map(|day| day.readings(tile, cell, periodicities));
                 cell_readings(all.filter(|(nanos, _)| within.contains(nanos))).collect()
             }

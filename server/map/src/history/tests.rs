@@ -237,7 +237,7 @@ fn models_that_make_no_sense_do_no_harm() {
 }
 
 #[test]
-fn what_a_model_says_has_the_bits_of_the_first_version() {
+fn the_answer_of_a_model_has_the_bits_of_the_first_version() {
     let scans: Vec<ScanTime> = (0..20_000_i64)
         .map(|i| ScanTime { utc_nanos: MIDNIGHT + i * 4_321_000_007, offset_secs: 7200, sensor: SensorId::OWN })
         .collect();

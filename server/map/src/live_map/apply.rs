@@ -106,7 +106,7 @@ impl LiveMap {
 
     /// Records that a producer has sent an observation of a time. It is recorded only if the map has states with rows:
     /// it determines up to when rows are complete.
-    pub(super) fn heard_of(&mut self, producer: ProducerId, nanos: i64) {
+    pub(super) fn note_newest_time(&mut self, producer: ProducerId, nanos: i64) {
         if let Some(mark) = self.producers.get_mut(producer.0 as usize).filter(|_| !self.with_rows.is_empty()) {
             mark.newest_nanos = mark.newest_nanos.max(nanos);
         }
@@ -186,7 +186,7 @@ impl LiveMap {
             }
         }
         self.newest_nanos = self.newest_nanos.max(newest);
-        self.heard_of(envelope.producer, newest);
+        self.note_newest_time(envelope.producer, newest);
         if !event.states.is_empty() {
             self.pending.received(envelope.received_nanos);
         }

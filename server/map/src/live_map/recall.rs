@@ -30,16 +30,16 @@ impl LiveMap {
             }
             Subject::Cell(tile, cell) => {
                 let Some(grid) = &self.grid else { return Vec::new() };
-                let is_asked = |day: &&GridDay| day.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
-                let days = grid.days().iter().filter(is_asked);
+                let is_requested = |day: &&GridDay| day.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
+                let days = grid.days().iter().filter(is_requested);
                 let pending = days.flat_map(|day| day_readings(day, tile, cell, &self.spec.periodicities));
                 let future = grid.future_scans().iter().filter_map(|scan| {
                     let at = scan.tiles.binary_search_by_key(&tile, |(tile, _)| *tile).ok()?;
                     let (_, masks) = scan.tiles.get(at)?;
                     masks.observed().contains(cell).then(|| (scan.time.utc_nanos, masks.occupied().contains(cell)))
                 });
-                let asked = pending.chain(future).filter(|(nanos, _)| within.contains(nanos));
-                cell_readings(asked.take(at_most)).collect()
+                let requested = pending.chain(future).filter(|(nanos, _)| within.contains(nanos));
+                cell_readings(requested.take(at_most)).collect()
             }
         }
     }

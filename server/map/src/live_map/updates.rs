@@ -49,7 +49,7 @@ impl LiveMap {
                 self.live_dirty[index / LIVE_CHUNK] = true;
             }
             self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
-            self.heard_of(producer, sample.utc_nanos);
+            self.note_newest_time(producer, sample.utc_nanos);
         }
         let grid = self.grid.as_mut().map(|grid| {
             let before = grid.pending_changes();

@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_have_names_that_say_so() {
+    fn labels_are_recognised_by_their_names() {
         let activity = StateName::new("activity").expect("valid");
         let sleep = activity.label("sleep").expect("valid");
         assert_eq!((sleep.as_str(), sleep.as_label()), ("activity/sleep", Some(("activity", "sleep"))));

@@ -55,7 +55,7 @@ fn sighting(at: &str, seen: &[&str], out_of_view: &[&str]) -> Sighting {
     }
 }
 
-fn said(sighting: &Sighting) -> Vec<(String, f64)> {
+fn values(sighting: &Sighting) -> Vec<(String, f64)> {
     let samples = sighting.samples(&site()).expect("valid");
     samples.into_iter().map(|sample| (sample.state.to_string(), sample.value)).collect()
 }
@@ -64,14 +64,14 @@ fn said(sighting: &Sighting) -> Vec<(String, f64)> {
 fn landmarks_are_seen_or_not_and_those_out_of_view_are_left_out() {
     let expected =
         |states: &[(&str, f64)]| states.iter().map(|(state, value)| ((*state).to_owned(), *value)).collect::<Vec<_>>();
-    assert_eq!(said(&sighting("a", &["2"], &["3"])), expected(&[("landmark/a/1", 0.0), ("landmark/a/2", 1.0)]));
-    assert_eq!(said(&sighting("a", &[], &["1", "2", "3"])), expected(&[]));
+    assert_eq!(values(&sighting("a", &["2"], &["3"])), expected(&[("landmark/a/1", 0.0), ("landmark/a/2", 1.0)]));
+    assert_eq!(values(&sighting("a", &[], &["1", "2", "3"])), expected(&[]));
 }
 
 #[test]
 fn only_the_part_that_was_travelled_is_missed_and_what_is_seen_beyond_counts() {
     let part = PartOfEdge { from_m: 4.0, to_m: 6.0 };
-    let partial = |seen: &[&str]| said(&Sighting { part, ..sighting("a/b", seen, &[]) });
+    let partial = |seen: &[&str]| values(&Sighting { part, ..sighting("a/b", seen, &[]) });
     assert_eq!(partial(&[]), [("landmark/a/b/p5".to_owned(), 0.0)]);
     assert_eq!(partial(&["p8"]), [("landmark/a/b/p5".to_owned(), 0.0), ("landmark/a/b/p8".to_owned(), 1.0)]);
 }
@@ -92,7 +92,7 @@ fn a_traversal_is_observed_with_it() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn an_error_names_what_is_wrong() {
     for (wrong, words) in [
         (sighting("c", &[], &[]), "\"c\""),
         (sighting("b", &[], &[]), "\"b\" has no landmarks"),
@@ -122,10 +122,10 @@ fn the_size_of_a_report_covers_its_observations() {
         intervention: false,
         reason: "stuck".to_owned(),
     };
-    let looked = Sighting { traversal: Some(traversal.clone()), ..sighting("a/b", &["p2"], &[]) };
+    let with_traversal = Sighting { traversal: Some(traversal.clone()), ..sighting("a/b", &["p2"], &[]) };
     for report in [
         Report::Sighting(sighting("a", &["1"], &["2"])),
-        Report::Sighting(looked),
+        Report::Sighting(with_traversal),
         Report::Traversal(traversal),
         Report::TaskRun(run),
     ] {

@@ -39,9 +39,9 @@ fn names_lead_to_nodes_and_their_edges() {
 fn what_is_wrong_is_named() {
     let (mut flat, [kitchen, hall, office]) = flat();
     let before = flat.clone();
-    let said = |error: TopologyError| error.to_string();
-    assert!(said(flat.node_named("attic").unwrap_err()).contains("attic"));
-    assert!(said(flat.add_node(name("hall"), None, None).unwrap_err()).contains("hall"));
+    let text = |error: TopologyError| error.to_string();
+    assert!(text(flat.node_named("attic").unwrap_err()).contains("attic"));
+    assert!(text(flat.add_node(name("hall"), None, None).unwrap_err()).contains("hall"));
     assert_eq!(flat.add_edge(hall, NodeId(9), None, Extent::secs(1.0)), Err(TopologyError::UnknownNodeId(9)));
     assert_eq!(flat.add_edge(hall, hall, None, Extent::secs(1.0)), Err(TopologyError::ToItself("hall".into())));
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300] {

@@ -21,14 +21,14 @@ const HOUR: i64 = DAY / 24;
 #[derive(Debug, Default)]
 struct Kept {
     readings: BTreeMap<StateId, Vec<Sample>>,
-    asked: Mutex<Vec<Vec<ReadingsRequest>>>,
+    requested: Mutex<Vec<Vec<ReadingsRequest>>>,
     damaged: Option<StateId>,
     is_short: bool,
 }
 
 impl StateReadings for Kept {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        self.asked.lock().expect("sound").push(wanted.to_vec());
+        self.requested.lock().expect("sound").push(wanted.to_vec());
         if let Some(damaged) = wanted.iter().find(|wanted| Some(wanted.state) == self.damaged) {
             return Err(format!("the file of {:?} is damaged", damaged.state));
         }
@@ -102,9 +102,9 @@ impl World {
     }
 
     /// The states requested, by batch.
-    fn asked(&self) -> Vec<Vec<u32>> {
-        let asked = self.kept.asked.lock().expect("sound");
-        asked.iter().map(|batch| batch.iter().map(|wanted| wanted.state.0).collect()).collect()
+    fn requested(&self) -> Vec<Vec<u32>> {
+        let requested = self.kept.requested.lock().expect("sound");
+        requested.iter().map(|batch| batch.iter().map(|wanted| wanted.state.0).collect()).collect()
     }
 }
 
@@ -122,10 +122,10 @@ fn a_model_is_trained_on_the_last_weeks_and_to_what_the_update_had() {
         expected.retain(|sample| sample.utc_nanos >= newest - 84 * DAY);
         assert_eq!(world.trained_of(state as usize), Some((&trained(&expected), 99)));
     }
-    assert_eq!(world.asked(), [[0, 1]]);
+    assert_eq!(world.requested(), [[0, 1]]);
     // Nothing is due any more.
     assert_eq!(world.train_due(LIMITS), TrainingOutcome::default());
-    assert_eq!(world.asked().len(), 1);
+    assert_eq!(world.requested().len(), 1);
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn readings_that_cannot_be_had_cost_the_models_of_their_batch_alone() {
     world.kept.damaged = Some(StateId(2));
     // The readings of two states fit at once.
     let outcome = world.train_due(Limits { readings: 2 * 20 * 24 + 5, ..LIMITS });
-    assert_eq!(world.asked(), [vec![0, 1], vec![2, 3], vec![4]]);
+    assert_eq!(world.requested(), [vec![0, 1], vec![2, 3], vec![4]]);
     assert_eq!((outcome.trained, outcome.waiting, outcome.failed), (3, 0, 2));
     assert!(outcome.failure.expect("a reason").contains("StateId(2) is damaged"));
     for state in [2, 3] {
@@ -194,13 +194,13 @@ fn those_that_have_waited_longest_go_first() {
 fn nothing_is_trained_that_is_not_kept() {
     let mut world = World::new(spec(Retention::None), 2, 20);
     assert_eq!(world.train_due(LIMITS), TrainingOutcome::default());
-    assert!(world.asked().is_empty() && world.trained_of(0).is_none());
+    assert!(world.requested().is_empty() && world.trained_of(0).is_none());
     // The map does not request history that its retention has dropped; it trains a model on the rest anyway.
     let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
     assert_eq!(world.train_due(LIMITS).trained, 1);
     let newest = 20 * DAY - HOUR;
-    let asked = world.kept.asked.lock().expect("sound").clone();
-    assert_eq!(asked, [[ReadingsRequest { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
+    let requested = world.kept.requested.lock().expect("sound").clone();
+    assert_eq!(requested, [[ReadingsRequest { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
     assert_eq!(world.trained_of(0).map(|(model, _)| model.observations()), Some(5 * 24 + 1));
 }
 
@@ -208,7 +208,7 @@ fn nothing_is_trained_that_is_not_kept() {
 fn a_state_that_was_read_too_often_is_trained_on_fewer_days() {
     let mut world = World::new(spec(Retention::Forever), 2, 30);
     assert_eq!(world.train_due(Limits { readings: 240, ..LIMITS }).trained, 2);
-    assert_eq!(world.asked(), [[0], [1]], "one at a time");
+    assert_eq!(world.requested(), [[0], [1]], "one at a time");
     for state in 0..2 {
         let observations = world.trained_of(state).expect("trained").0.observations();
         assert!((200..=281).contains(&observations), "{observations}");
@@ -227,7 +227,7 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_trained() {
     assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, ..TrainingOutcome::default() });
     assert_eq!(world.train_due(limits), TrainingOutcome::default());
     // The readings of a state are requested once, whatever is trained on them.
-    assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
+    assert_eq!(world.requested(), [vec![0, 1, 2], vec![1], vec![2]]);
     for (number, model) in world.models.iter().enumerate() {
         for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
             let (found, day) = model.alternatives().expect("learned").trained(kind).expect("trained");
@@ -240,7 +240,7 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_trained() {
     }
 
     let mut world = World::new(MapSpec { models: EnabledModels::SPECTRAL, ..spec(Retention::Forever) }, 2, 20);
-    assert_eq!((world.train_due(LIMITS), world.asked().len()), (TrainingOutcome::default(), 0));
+    assert_eq!((world.train_due(LIMITS), world.requested().len()), (TrainingOutcome::default(), 0));
 }
 
 #[test]

@@ -16,7 +16,7 @@ fn traversal(start_nanos: i64, end_nanos: i64, success: bool) -> Traversal {
 }
 
 #[test]
-fn a_success_tells_the_speed_or_the_pace() {
+fn a_success_gives_the_speed_or_the_pace() {
     let trip = traversal(10 * SEC, 14 * SEC, true);
     let both = Extent { length_m: Some(6.0), nominal_secs: Some(3.0) };
     assert_eq!(trip.samples(both), Ok(vec![(EdgeState::Success, 1.0), (EdgeState::Speed, 1.5)]));
@@ -26,7 +26,7 @@ fn a_success_tells_the_speed_or_the_pace() {
 }
 
 #[test]
-fn a_failure_tells_that_it_failed() {
+fn a_failure_is_stored_as_failed() {
     for end in [10 * SEC, 14 * SEC] {
         let trip = traversal(10 * SEC, end, false);
         assert_eq!(trip.samples(Extent::metres(6.0)), Ok(vec![(EdgeState::Success, 0.0)]));
@@ -37,7 +37,7 @@ fn a_failure_tells_that_it_failed() {
 }
 
 #[test]
-fn times_that_make_no_sense_are_told() {
+fn times_that_make_no_sense_are_errors() {
     let day = TRAVERSAL_MAX_NANOS;
     assert_eq!(traversal(5, 5 + day, true).check(), Ok(()));
     for (wrong, words) in [

@@ -110,7 +110,7 @@ fn everybody_can_distinguish_tenths() {
 }
 
 #[test]
-fn everybody_can_tell_freer_from_fuller() {
+fn everybody_can_distinguish_freer_from_fuller() {
     for (name, seen_by) in &SEEN_BY {
         for change in [0.2, 0.5, 1.0] {
             let apart = apart(difference(-change, 0.5 - change / 2.0), difference(change, 0.5 + change / 2.0), seen_by);

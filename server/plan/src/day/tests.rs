@@ -62,7 +62,7 @@ fn what_suits_no_day_is_refused() {
 }
 
 #[test]
-fn a_plan_asks_for_the_middle_of_each_slot_and_tells_what_it_promises() {
+fn a_plan_asks_for_the_middle_of_each_slot_and_reports_its_gain() {
     let day = london(AUTUMN, HOUR_NANOS).unwrap();
     let noon_nanos = day.start_nanos(13);
     let gain = |at_nanos: i64, place: usize| {

@@ -93,7 +93,7 @@ fn a_robot_that_has_turned_is_found_with_its_heading() {
 }
 
 #[test]
-fn what_cannot_be_compared_or_found_is_said() {
+fn what_cannot_be_compared_or_found_is_an_error() {
     let long = Descriptor::new(&[1, 2, 3]).expect("three bytes");
     let other = ImageFeature { descriptor: long, ..feature((0, 0, 1)) };
     let mixed = MixedDescriptors { found: 3, expected: 2 };

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 #[test]
-fn a_visit_tells_the_entropy_of_all_that_it_shows() {
+fn a_visit_gives_the_entropy_of_all_that_it_shows() {
     assert!((information_bits([0.5, 0.5, 0.25, 1.0]) - 2.811_278_124_459_133).abs() < 1e-12);
     assert!(information_bits([]).abs() < 1e-12);
 }

@@ -96,7 +96,7 @@ fn options(kind: ModelKind, blend: Blend) -> PredictOptions {
 }
 
 #[test]
-fn each_cell_is_what_the_grid_says_at_each_time() {
+fn each_cell_is_as_in_the_grid_at_each_time() {
     let view = learned(spec(false));
     let grid = view.grid().unwrap();
     for kind in [ModelKind::Spectral, ModelKind::Mean, ModelKind::Latest] {
@@ -130,22 +130,22 @@ fn each_cell_is_what_the_grid_says_at_each_time() {
 }
 
 #[test]
-fn predictions_that_are_told_to_stop_give_nothing() {
+fn predictions_that_are_stopped_give_nothing() {
     let view = learned(spec(false));
-    let asked = AtomicUsize::new(0);
+    let calls = AtomicUsize::new(0);
     let predict = |after: usize| {
-        asked.store(0, Ordering::Relaxed);
-        let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+        calls.store(0, Ordering::Relaxed);
+        let is_set = || calls.fetch_add(1, Ordering::Relaxed) >= after;
         let options = options(ModelKind::Spectral, Blend::None);
         PredictedTimes::new(&view, &times(), &options, StopSignal::new(&is_set)).map(|_| ())
     };
     assert_eq!(predict(usize::MAX), Ok(()));
-    let questions = asked.load(Ordering::Relaxed);
+    let questions = calls.load(Ordering::Relaxed);
     assert!(questions > 20, "{questions}");
     for after in [0, 1, questions / 2, questions - 1] {
         assert_eq!(predict(after), Err(PredictError::Stop(EarlyStop)), "{after} of {questions}");
         // At most one more prediction is made for each tile.
-        assert!(asked.load(Ordering::Relaxed) <= after + 7, "{after} {asked:?}");
+        assert!(calls.load(Ordering::Relaxed) <= after + 7, "{after} {calls:?}");
     }
 }
 

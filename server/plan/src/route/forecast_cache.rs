@@ -39,7 +39,7 @@ pub(super) struct ForecastCache<'a, F> {
     kept_count: usize,
     is_closed: Vec<bool>,
     /// Number of requested forecasts.
-    pub asked: usize,
+    pub requests: usize,
 }
 
 impl<'a, F: Forecasts> ForecastCache<'a, F> {
@@ -55,7 +55,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
             kept,
             kept_count: 0,
             is_closed,
-            asked: 0,
+            requests: 0,
         }
     }
 
@@ -85,7 +85,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
             Ok(place) => return Ok(self.kept[edge][place].1),
             Err(place) => place,
         };
-        self.asked += 1;
+        self.requests += 1;
         let found = self.forecasts.at(self.network.edges[edge], at_secs);
         let traversal = match found {
             None => {

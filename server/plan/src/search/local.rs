@@ -208,12 +208,12 @@ impl<'a> SearchWalk<'a> {
     /// Applies changes that lower the cost until there is none at any goal whose surroundings have changed, or until
     /// stopped.
     pub(super) fn improve(&mut self, mut until: impl FnMut() -> bool) {
-        let mut looked = 0_u32;
+        let mut examined = 0_u32;
         while let Some(goal) = self.open.pop() {
             self.is_open[goal] = false;
             while self.improve_behind(self.position[goal]) {}
-            looked = looked.wrapping_add(1);
-            if looked.is_multiple_of(64) && until() {
+            examined = examined.wrapping_add(1);
+            if examined.is_multiple_of(64) && until() {
                 return;
             }
         }

@@ -178,9 +178,9 @@ fn a_task_and_learning_share_a_robot_by_their_weight() {
 fn what_makes_no_sense_is_refused() {
     assert_eq!(Gains::of(0, 1, |_, _| 0.0), Err(StrategyError::NoSlots));
     assert_eq!(Gains::of(1, 0, |_, _| 0.0), Err(StrategyError::NoPlaces));
-    let unasked = |_, _| -> f64 { panic!("asked for a gain of a matrix that is too large") };
-    assert_eq!(Gains::of(96, 1_000_000, unasked), Err(StrategyError::TooMany { slots: 96, places: 1_000_000 }));
-    assert!(matches!(Gains::of(usize::MAX, 2, unasked), Err(StrategyError::TooMany { .. })));
+    let uncalled = |_, _| -> f64 { panic!("asked for a gain of a matrix that is too large") };
+    assert_eq!(Gains::of(96, 1_000_000, uncalled), Err(StrategyError::TooMany { slots: 96, places: 1_000_000 }));
+    assert!(matches!(Gains::of(usize::MAX, 2, uncalled), Err(StrategyError::TooMany { .. })));
     for found in [f64::NAN, f64::INFINITY, -0.1] {
         assert!(matches!(Gains::of(1, 1, |_, _| found), Err(StrategyError::Gain { slot: 0, place: 0, .. })));
     }

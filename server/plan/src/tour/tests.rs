@@ -140,7 +140,7 @@ fn obstacles_are_in_the_way() {
 }
 
 #[test]
-fn a_tour_without_a_goal_says_why() {
+fn a_tour_without_a_goal_gives_the_reason() {
     let grid = two_corners();
     let ask = question(&grid, 30, 5);
     let shut_in = drawn(&["#####", "#.###", "#####", "####.", "####."]);
@@ -255,7 +255,7 @@ fn rays_at_hand_give_the_same_tour() {
 }
 
 #[test]
-fn a_tour_that_is_told_to_stop_ends_soon_and_gives_nothing() {
+fn a_tour_that_is_stopped_ends_soon_and_gives_nothing() {
     let grid = room(60, 60, |x, y| if (x * 7 + y * 3) % 5 == 0 { 0.3 } else { 0.1 });
     let ask = TourQuestion {
         goals: 30,
@@ -265,18 +265,18 @@ fn a_tour_that_is_told_to_stop_ends_soon_and_gives_nothing() {
         ..question(&grid, 30, 30)
     };
     let fan = Fan::new(&ask.sensor, grid.lattice(), 0.0).unwrap();
-    let asked = AtomicUsize::new(0);
+    let calls = AtomicUsize::new(0);
     let plan = |after: usize| {
-        asked.store(0, Ordering::Relaxed);
-        let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+        calls.store(0, Ordering::Relaxed);
+        let is_set = || calls.fetch_add(1, Ordering::Relaxed) >= after;
         plan_tour_with(&fan, &grid, &Reachability::default(), &ask, StopSignal::new(&is_set))
     };
     let whole = plan(usize::MAX).unwrap();
-    let steps = asked.load(Ordering::Relaxed);
+    let steps = calls.load(Ordering::Relaxed);
     assert!(whole.steps.len() > 8 && steps > 300, "{} {steps}", whole.steps.len());
     for after in (0..20).map(|part| part * steps / 20).chain([steps - 1]) {
         assert_eq!(plan(after), Err(TourError::Stop(EarlyStop)), "{after} of {steps}");
-        let further = asked.load(Ordering::Relaxed) - after;
+        let further = calls.load(Ordering::Relaxed) - after;
         assert!(further <= 20, "{further} further steps after {after} of {steps}");
     }
     assert_eq!(plan(steps), Ok(whole));
@@ -292,29 +292,29 @@ fn ways(numbers: &[f64], count: usize, returns: bool) -> Ways<'static> {
     })
 }
 
-fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
-    fn each(order: &mut Vec<usize>, from: usize, tell: &mut impl FnMut(&[usize])) {
+fn permutations(goals: &[usize], report: &mut impl FnMut(&[usize])) {
+    fn each(order: &mut Vec<usize>, from: usize, report: &mut impl FnMut(&[usize])) {
         if from == order.len() {
-            tell(order);
+            report(order);
         }
         for other in from..order.len() {
             order.swap(from, other);
-            each(order, from + 1, tell);
+            each(order, from + 1, report);
             order.swap(from, other);
         }
     }
-    each(&mut goals.to_vec(), 0, tell);
+    each(&mut goals.to_vec(), 0, report);
 }
 
 /// Chooses goals by evaluating every candidate in every round.
 fn choose_plainly(scene: &Scene, fan: &Fan, candidates: &[TourCandidate], goals: usize) -> Vec<(usize, f64)> {
-    let mut looker = ViewScorer::new(fan);
+    let mut scorer = ViewScorer::new(fan);
     let mut covered: HashSet<CellIndex> = HashSet::new();
     let mut chosen: Vec<(usize, f64)> = Vec::new();
     while chosen.len() < goals {
         let mut best = (0, 0.0, 0.0);
         for (number, candidate) in candidates.iter().enumerate() {
-            let cells = looker.cells(scene, fan, candidate.cell);
+            let cells = scorer.cells(scene, fan, candidate.cell);
             let mut bits = 0.0;
             for cell in cells.iter().filter(|cell| !covered.contains(cell)) {
                 bits += scene.bits(*cell);
@@ -326,7 +326,7 @@ fn choose_plainly(scene: &Scene, fan: &Fan, candidates: &[TourCandidate], goals:
         if best.1 <= 0.0 {
             break;
         }
-        covered.extend(looker.cells(scene, fan, candidates[best.0].cell));
+        covered.extend(scorer.cells(scene, fan, candidates[best.0].cell));
         chosen.push((best.0, best.2));
     }
     chosen

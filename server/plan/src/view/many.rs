@@ -91,7 +91,7 @@ pub fn view_many(
     viewpoints: &[Viewpoint],
     limits: ViewLimits,
     stop: StopSignal<'_>,
-    mut tell: impl FnMut(usize, Result<Vec<Option<f64>>, ViewError>) -> ControlFlow<()>,
+    mut report: impl FnMut(usize, Result<Vec<Option<f64>>, ViewError>) -> ControlFlow<()>,
 ) -> Result<(), TooMuchWork> {
     let fans = Fans { sensor, scene, stop, known: Mutex::default() };
     let first = fans.of(viewpoints.iter().map(|at| at.yaw_rad).find(|yaw| yaw.is_finite()).unwrap_or(0.0))?;
@@ -114,7 +114,7 @@ pub fn view_many(
             viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), evaluate).collect();
         stop.check()?;
         for (number, view) in (round * ROUND..).zip(views) {
-            if tell(number, view?).is_break() {
+            if report(number, view?).is_break() {
                 return Ok(());
             }
         }

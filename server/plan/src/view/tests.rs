@@ -120,7 +120,7 @@ fn scene(grid: &PredictedGrid) -> Scene {
 /// A reported result of [`view_many`].
 type ReportedViews = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
-fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> ReportedViews {
+fn view_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> ReportedViews {
     let mut all = Vec::new();
     let outcome = view_many(scene, sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |number, view| {
         all.push((number, view));
@@ -207,7 +207,7 @@ proptest! {
     }
 
     #[test]
-    fn many_times_are_told_as_each_alone(
+    fn many_times_give_the_answers_of_each_alone(
         sensor in sensors(),
         seed in any::<u64>(),
         is_flat in any::<bool>(),
@@ -233,7 +233,7 @@ proptest! {
             .enumerate()
             .map(|(number, &yaw)| centre(&lattice, cell(min.x + 4 * number as i32, min.y + 3 * number as i32, min.z), yaw))
             .collect();
-        let all = look_at_all(&timed, &sensor, &viewpoints);
+        let all = view_all(&timed, &sensor, &viewpoints);
         prop_assert_eq!(all.len(), viewpoints.len());
         let scenes: Vec<Scene> = (0..times).map(|time| scene(&day.at(time).unwrap())).collect();
         for ((number, view), at) in all.iter().zip(&viewpoints) {
@@ -305,7 +305,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
         centre(&lattice, cell(10, 15, 0), 0.0),
         Viewpoint { z_m: None, ..good },
     ];
-    let all = look_at_all(&timed, &sensor, &viewpoints);
+    let all = view_all(&timed, &sensor, &viewpoints);
     let numbers: Vec<usize> = all.iter().map(|(number, _)| *number).collect();
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
     let fan = Fan::new(&sensor, &lattice, 0.0).unwrap();
@@ -320,7 +320,7 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
 }
 
 #[test]
-fn telling_can_be_ended() {
+fn the_receiver_of_views_can_end_the_work() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 1, |at, _| grid.probability(at)).unwrap();
     let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
@@ -338,8 +338,8 @@ fn telling_can_be_ended() {
 fn views_that_should_stop_end_soon_and_are_not_reported() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 2, |at, _| grid.probability(at)).unwrap();
-    let asked = AtomicUsize::new(0);
-    let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= 100;
+    let calls = AtomicUsize::new(0);
+    let is_set = || calls.fetch_add(1, Ordering::Relaxed) >= 100;
     let stop = StopSignal::new(&is_set);
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 1_000];
@@ -350,7 +350,7 @@ fn views_that_should_stop_end_soon_and_are_not_reported() {
         ControlFlow::Continue(())
     });
     assert_eq!(answer, Err(TooMuchWork::Stop(EarlyStop)));
-    assert!(reported < 128 && asked.load(Ordering::Relaxed) < 400, "{reported}");
+    assert!(reported < 128 && calls.load(Ordering::Relaxed) < 400, "{reported}");
     assert_eq!(TimedScene::new(&day, &SceneOptions::default(), stop).map(|_| ()), Err(SceneError::Stop(EarlyStop)));
 }
 

@@ -32,7 +32,7 @@ fn observations(first: i64, count: usize) -> Observations {
 }
 
 /// The next piece: the number of observations before it, and its times.
-fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> {
+fn received(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> {
     match &*listening.try_recv()? {
         FeedMessage::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
         other => panic!("{other:?}"),
@@ -40,29 +40,29 @@ fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> 
 }
 
 #[test]
-fn observations_are_told_in_their_order_once_they_are_public() {
+fn observations_are_sent_in_their_order_once_they_are_public() {
     let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, before) = watchers.listen();
     assert_eq!(before, 0);
     watchers.applied(&observations(10, 2));
     watchers.applied(&observations(20, 1));
-    assert_eq!(heard(&mut listening), Err(TryRecvError::Empty));
-    watchers.tell(&view);
-    assert_eq!(heard(&mut listening), Ok((0, vec![10, 11, 20])));
+    assert_eq!(received(&mut listening), Err(TryRecvError::Empty));
+    watchers.send_waiting(&view);
+    assert_eq!(received(&mut listening), Ok((0, vec![10, 11, 20])));
     // A later watcher gets later pieces.
     let (mut late, before) = watchers.listen();
     assert_eq!(before, 3);
     watchers.applied(&observations(0, PIECE + 1));
-    watchers.tell(&view);
+    watchers.send_waiting(&view);
     for listening in [&mut listening, &mut late] {
-        assert_eq!(heard(listening).map(|(before, times)| (before, times.len())), Ok((3, PIECE)));
-        assert_eq!(heard(listening), Ok((3 + PIECE as u64, vec![PIECE as i64])));
-        assert_eq!(heard(listening), Err(TryRecvError::Empty));
+        assert_eq!(received(listening).map(|(before, times)| (before, times.len())), Ok((3, PIECE)));
+        assert_eq!(received(listening), Ok((3 + PIECE as u64, vec![PIECE as i64])));
+        assert_eq!(received(listening), Err(TryRecvError::Empty));
     }
     watchers.end(Ending::MapDeleted);
     assert!(matches!(&*late.try_recv().expect("an end"), FeedMessage::End(Ending::MapDeleted)));
     drop(watchers);
-    assert_eq!(heard(&mut late), Err(TryRecvError::Closed));
+    assert_eq!(received(&mut late), Err(TryRecvError::Closed));
 }
 
 #[test]
@@ -72,27 +72,27 @@ fn nothing_is_kept_while_nobody_watches() {
     assert!(watchers.waiting.is_empty());
     let (listening, _) = watchers.listen();
     watchers.applied(&observations(0, 5));
-    watchers.tell(&view);
+    watchers.send_waiting(&view);
     assert_eq!(watchers.models.len(), 1);
     drop(listening);
     watchers.applied(&observations(0, 5));
-    watchers.tell(&view);
+    watchers.send_waiting(&view);
     assert!(watchers.waiting.is_empty() && watchers.models.is_empty());
 }
 
 #[test]
-fn one_who_lags_loses_the_oldest_and_can_tell_how_many() {
+fn one_who_lags_loses_the_oldest_and_can_compute_how_many() {
     let (mut watchers, view) = (AnomalyFeed::default(), map().publish());
     let (mut listening, mut expected) = watchers.listen();
     let pieces = PIECES as u64 + 10;
     for piece in 0..pieces {
         watchers.applied(&observations(piece as i64, 3));
-        watchers.tell(&view);
+        watchers.send_waiting(&view);
     }
     let mut missed = 0;
     let mut taken = 0;
     loop {
-        match heard(&mut listening) {
+        match received(&mut listening) {
             Ok((before, times)) => {
                 missed += before - expected;
                 expected = before + times.len() as u64;
@@ -112,7 +112,7 @@ fn models_of_two_generations_are_kept_however_far_one_lags() {
     let (mut listening, _) = watchers.listen();
     for generation in 0..4 {
         watchers.applied(&observations(generation, 1));
-        watchers.tell(&map.publish());
+        watchers.send_waiting(&map.publish());
         let event = tidemap_map::event::Event::UpdateStart(map.plan_update(
             None,
             1 + generation,

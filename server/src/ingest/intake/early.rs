@@ -39,9 +39,9 @@ mod tests {
             (5_000_000_000_000, "is the robot's clock set?"),
             (0, "clock set?"),
         ] {
-            let said = refusal(time);
-            assert!(said.contains(text), "{said}");
-            assert!(said.chars().count() <= super::super::DETAIL_CHARS_MAX, "{said}");
+            let detail = refusal(time);
+            assert!(detail.contains(text), "{detail}");
+            assert!(detail.chars().count() <= super::super::DETAIL_CHARS_MAX, "{detail}");
         }
     }
 }

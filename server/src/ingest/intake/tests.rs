@@ -35,7 +35,7 @@ fn message(first: u64, names: &[&str], indices: &[u32], times: &[i64], values: &
     v1::ObservationBatch { first_sequence: first, observations: Some(encode(times, indices, values, names)) }
 }
 
-fn say_kinds(message: &mut v1::ObservationBatch, kinds: &[v1::StateKind]) {
+fn set_kinds(message: &mut v1::ObservationBatch, kinds: &[v1::StateKind]) {
     let columns = message.observations.as_mut().expect("there are some");
     columns.new_kinds = kinds.iter().map(|&kind| kind.into()).collect();
 }
@@ -129,7 +129,7 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
     let mut intake = Intake::new(10, 7, limits(9, 9), None);
     let values = [0.5, f64::NAN, 1.0, -0.1, 0.0, 1.5, f64::INFINITY];
     let mut sent = message(11, &["a", "b/c"], &[0, 0, 1, 0, 9, 0, 0], &[1, 2, 3, 4, 5, 6, 7], &values);
-    say_kinds(&mut sent, &[v1::StateKind::Probability; 2]);
+    set_kinds(&mut sent, &[v1::StateKind::Probability; 2]);
     let batch = intake.take_sent(sent).expect("fine").expect("new");
     assert_eq!(batch.span.last, 17);
     // A NaN may be a row without a value; this depends on the state.
@@ -150,7 +150,7 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
 }
 
 #[test]
-fn what_was_said_of_a_state_says_which_values_it_may_have() {
+fn the_declared_kind_of_a_state_limits_its_values() {
     let values = [2.5, -3.0, 1e300, 7.0];
     for (kind, kept) in [
         (v1::StateKind::Unspecified, vec![2.5, -3.0, 7.0]),
@@ -159,15 +159,15 @@ fn what_was_said_of_a_state_says_which_values_it_may_have() {
         (v1::StateKind::Count, vec![7.0]),
     ] {
         let mut sent = message(1, &["a"], &[0; 4], &[1, 2, 3, 4], &values);
-        say_kinds(&mut sent, &[kind]);
+        set_kinds(&mut sent, &[kind]);
         let batch = intake().take_sent(sent).expect("fine").expect("new");
         assert_eq!(batch.values, kept, "{kind:?}");
         assert!(batch.refused.iter().all(|refused| refused.reason == RefusalReason::Value), "{batch:?}");
-        let said = batch.new_names[0].as_ref().expect("a valid name").shape;
-        assert_eq!(said.is_none(), kind == v1::StateKind::Unspecified);
+        let shape = batch.new_names[0].as_ref().expect("a valid name").shape;
+        assert_eq!(shape.is_none(), kind == v1::StateKind::Unspecified);
     }
     let mut sent = message(1, &["a"], &[0], &[1], &[2.5]);
-    say_kinds(&mut sent, &[v1::StateKind::Count]);
+    set_kinds(&mut sent, &[v1::StateKind::Count]);
     let batch = intake().take_sent(sent).expect("fine").expect("new");
     assert!(batch.refused[0].detail.contains("2.5 is not a count"), "{}", batch.refused[0].detail);
 }

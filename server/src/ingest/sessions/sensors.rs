@@ -109,17 +109,17 @@ mod tests {
         let (mut map, sessions) = (map(true), sessions());
         first(&mut map, "weak", sensor(0.5));
         first(&mut map, "usual", None);
-        let asked = |name: &str, says| sessions.sensor(&hello(name, says), &map);
-        assert_eq!((asked("weak", None), asked("weak", sensor(0.5))), (Ok(sensor(0.5)), Ok(sensor(0.5))));
-        assert_eq!((asked("usual", None), asked("usual", sensor(0.9))), (Ok(None), Ok(None)));
-        assert_eq!((asked("new", sensor(0.9)), asked("new", sensor(0.6))), (Ok(None), Ok(sensor(0.6))));
-        for (name, says, fixed) in [("weak", 0.6, 0.5), ("weak", 0.9, 0.5), ("usual", 0.5, 0.9)] {
-            let refused = asked(name, sensor(says)).expect_err("refused");
+        let requested = |name: &str, given| sessions.sensor(&hello(name, given), &map);
+        assert_eq!((requested("weak", None), requested("weak", sensor(0.5))), (Ok(sensor(0.5)), Ok(sensor(0.5))));
+        assert_eq!((requested("usual", None), requested("usual", sensor(0.9))), (Ok(None), Ok(None)));
+        assert_eq!((requested("new", sensor(0.9)), requested("new", sensor(0.6))), (Ok(None), Ok(sensor(0.6))));
+        for (name, given, fixed) in [("weak", 0.6, 0.5), ("weak", 0.9, 0.5), ("usual", 0.5, 0.9)] {
+            let refused = requested(name, sensor(given)).expect_err("refused");
             assert!(matches!(refused, HelloError::OtherSensor { .. }), "{refused}");
             let text = refused.to_string();
-            assert!(text.contains(&format!("of hit {fixed},")) && text.contains(&format!("announces hit {says},")));
+            assert!(text.contains(&format!("of hit {fixed},")) && text.contains(&format!("announces hit {given},")));
         }
-        let invalid = asked("new", sensor(f64::NAN)).expect_err("refused");
+        let invalid = requested("new", sensor(f64::NAN)).expect_err("refused");
         assert!(matches!(invalid, HelloError::Sensor(InvalidSensor::Range(_))), "{invalid}");
         let without = sessions.sensor(&hello("new", sensor(0.5)), &self::map(false));
         assert_eq!(without, Err(HelloError::SensorWithoutGrid));
@@ -132,10 +132,10 @@ mod tests {
         for known in 0..SENSORS_MAX - 2 {
             first(&mut map, &format!("robot{known}"), number(known));
         }
-        for (name, says, has_room) in
+        for (name, given, has_room) in
             [("one", 400, true), ("two", 401, true), ("three", 400, true), ("four", 402, false)]
         {
-            let opened = sessions.open(&hello(name, number(says)), &map);
+            let opened = sessions.open(&hello(name, number(given)), &map);
             let is_full = matches!(opened, Err(HelloError::Sensor(InvalidSensor::TooMany)));
             assert_eq!((opened.is_ok(), is_full), (has_room, !has_room), "{name}");
         }

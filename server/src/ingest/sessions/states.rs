@@ -82,8 +82,8 @@ impl StreamState {
                 Ok(ObservedState { first: *state, shape: *shape, held: None })
             }
             StreamState::State(_, shape, _) => Err(Some(refuse_value(value, *shape))),
-            StreamState::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
-            StreamState::OtherReporting(name, found, said) => Err(Some(other_reporting(name, *found, *said))),
+            StreamState::OtherShape(name, found, given) => Err(Some(other_shape(name, *found, *given))),
+            StreamState::OtherReporting(name, found, given) => Err(Some(other_reporting(name, *found, *given))),
             StreamState::Unused(_) | StreamState::Invalid => Err(None),
         }
     }
@@ -124,7 +124,7 @@ fn no_labels(name: &StateName) -> Refusal {
 
 /// Looks the name up at its first observation.
 fn used(
-    NewName { name, shape: said, reporting: stated }: &NewName,
+    NewName { name, shape: given, reporting: stated }: &NewName,
     value: f64,
     allocator: &mut StateAllocator<'_>,
     new_states: &mut Vec<NewState>,
@@ -134,12 +134,12 @@ fn used(
     }
     let has_events = stated.is_some_and(|stated| stated.kind() == RowKind::Events);
     let usual = if has_events { StateKind::Count.into() } else { StateShape::default() };
-    let shape = said.unwrap_or(usual);
+    let shape = given.unwrap_or(usual);
     let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
     match allocator.known(name) {
         // A name without a declared shape has observations of single values.
         Some(KnownState { id, shape: found, reporting, .. })
-            if *said == Some(found) || (said.is_none() && found.is_single()) =>
+            if *given == Some(found) || (given.is_none() && found.is_single()) =>
         {
             Ok(match stated {
                 Some(stated) if !stated.fits(reporting) => {
@@ -156,7 +156,7 @@ fn used(
             debug_assert_ne!(usize::from(labels), sent, "equal shapes are accepted above");
             Err((RefusalReason::Value, text))
         }
-        Some(found) => Ok(StreamState::OtherShape(name.clone(), found.shape, *said)),
+        Some(found) => Ok(StreamState::OtherShape(name.clone(), found.shape, *given)),
         None if matches!(shape, StateShape::Categorical(_)) => Err(no_labels(name)),
         None if !shape.may_report(reporting) => Err((RefusalReason::StateKind, cannot_report(shape, reporting.kind()))),
         // An invalid value does not create a state. Intake has checked positions.
@@ -279,17 +279,21 @@ impl Sessions {
                 Err(AddStateError::OtherLabels { name: name.clone() })
             }
             Some(found) if found.shape == shape => {
-                if let Some(asked) = stated.filter(|stated| !stated.fits(found.reporting)) {
-                    return Err(AddStateError::OtherReporting { name: name.clone(), found: found.reporting, asked });
+                if let Some(requested) = stated.filter(|stated| !stated.fits(found.reporting)) {
+                    return Err(AddStateError::OtherReporting {
+                        name: name.clone(),
+                        found: found.reporting,
+                        requested,
+                    });
                 }
                 match sensor {
-                    Some(asked) if found.sensor != Some(asked) => {
-                        Err(AddStateError::OtherSensor { name: name.clone(), found: found.sensor, asked })
+                    Some(requested) if found.sensor != Some(requested) => {
+                        Err(AddStateError::OtherSensor { name: name.clone(), found: found.sensor, requested })
                     }
                     _ => Ok(None),
                 }
             }
-            Some(found) => Err(AddStateError::OtherKind { name: name.clone(), found: found.shape, asked: shape }),
+            Some(found) => Err(AddStateError::OtherKind { name: name.clone(), found: found.shape, requested: shape }),
             None => {
                 let mut room = self.state_places.room(client, map.states() + self.states_in_flight.states());
                 let in_flight = &mut self.states_in_flight;
@@ -342,19 +346,19 @@ impl Sessions {
 }
 
 /// The refusal of a state whose shape differs from the declared one.
-fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) -> Refusal {
+fn other_shape(name: &StateName, found: StateShape, given: Option<StateShape>) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
-    let said = said.map_or("a single value".to_owned(), StateShape::with_article);
-    let text = format!("state {name:?} exists and is {}, not {said}", found.with_article());
+    let given = given.map_or("a single value".to_owned(), StateShape::with_article);
+    let text = format!("state {name:?} exists and is {}, not {given}", found.with_article());
     (RefusalReason::StateKind, text)
 }
 
 /// The refusal of a state whose reporting differs from the one that the stream has stated.
-fn other_reporting(name: &StateName, found: Reporting, said: StatedReporting) -> Refusal {
+fn other_reporting(name: &StateName, found: Reporting, given: StatedReporting) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
     let text = format!(
-        "state {name:?} exists and is reported by {found}, not by {said}: this never changes; send its observations as \
-         they are, or erase the state first, and send them as a new producer"
+        "state {name:?} exists and is reported by {found}, not by {given}: this never changes; send its observations \
+         as they are, or erase the state first, and send them as a new producer"
     );
     (RefusalReason::StateKind, text)
 }

@@ -211,7 +211,7 @@ impl Writer {
                 if self.apply(position, &event).is_err() {
                     return;
                 }
-                self.tell_applied(&event);
+                self.report_applied(&event);
                 let Some(envelope) = event.envelope() else { return };
                 let ack = self.acks.entry(session).or_default();
                 ack.durable_sequence = envelope.span.last;
@@ -224,7 +224,7 @@ impl Writer {
             },
             (Ok(position), InFlight::UpdateDone { event }) => {
                 if self.apply(position, &event).is_ok() {
-                    self.update_end_said(&event);
+                    self.note_logged_update_end(&event);
                 }
             }
             (Ok(position), InFlight::AddState { event, client, reply }) => {
@@ -247,7 +247,7 @@ impl Writer {
     }
 
     /// Notifies the watchers of the applied observations of a producer, and counts them.
-    pub(super) fn tell_applied(&mut self, event: &Event) {
+    pub(super) fn report_applied(&mut self, event: &Event) {
         let Some(envelope) = event.envelope() else { return };
         match event {
             Event::Observations(_, event) => {

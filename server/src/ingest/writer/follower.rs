@@ -142,7 +142,7 @@ impl Writer {
             }
             // Without this event the map is unusable, and the daemon stops.
             let Ok(work) = self.apply(position, &event) else { return false };
-            self.tell_applied(&event);
+            self.report_applied(&event);
             if let Some(work) = work {
                 let (name, now) = (self.map.spec().name.clone(), self.context.clock.now_nanos());
                 let job = self.context.jobs.create(name, work.start().cause, now);

@@ -172,11 +172,11 @@ async fn generation(handle: &MapHandle, generation: u64) {
 
 /// Returns when the writer has read the clock and has started what is due, without waiting for its tick. The writer
 /// reads the clock once after each burst of commands, so after the third read a whole round has passed.
-async fn looked(bench: &Bench, handle: &MapHandle) {
-    looked_at(&bench.clock, handle).await;
+async fn schedule_checked(bench: &Bench, handle: &MapHandle) {
+    schedule_checked_by(&bench.clock, handle).await;
 }
 
-async fn looked_at(clock: &SetClock, handle: &MapHandle) {
+async fn schedule_checked_by(clock: &SetClock, handle: &MapHandle) {
     let before = clock.1.load(Ordering::SeqCst);
     while clock.1.load(Ordering::SeqCst) < before + 3 {
         let (reply, answer) = oneshot::channel();
@@ -219,7 +219,7 @@ async fn the_nightly_update_runs_once_at_the_local_midnight() {
     robot.observe(&handle, NOON).await;
     // The time is 23:30 in London, 22:30 UTC: the day is not over, even for observations of months ago.
     bench.clock.0.store(NOON + 11 * HOUR + HOUR / 2, Ordering::SeqCst);
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 0);
     // The time is 00:30 in London, 23:30 UTC.
     bench.clock.0.store(NOON + 12 * HOUR + HOUR / 2, Ordering::SeqCst);
@@ -228,7 +228,7 @@ async fn the_nightly_update_runs_once_at_the_local_midnight() {
     assert_eq!((view.generation(), view.pending()), (1, 0));
     assert_eq!(view.cut_nanos(), Some(NOON + 12 * HOUR), "midnight in London");
     robot.observe(&handle, NOON + 12 * HOUR + HOUR / 2).await;
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 1, "once a night");
 }
 
@@ -259,7 +259,7 @@ async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_i
     a.observe(&handle, day(0)).await;
     a.observe(&handle, day(1)).await;
     b.observe(&handle, day(0)).await;
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 0, "b is not past the day");
     b.observe(&handle, day(1)).await;
     assert_eq!(ended(&bench, 1).await, [UpdateCause::DataTime]);
@@ -389,7 +389,7 @@ async fn no_midnight_updates_a_map_whose_operator_turned_that_off() {
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     robot.observe(&handle, NOON).await;
     bench.clock.0.store(NOON + 13 * HOUR, Ordering::SeqCst);
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 0);
 }
 
@@ -407,7 +407,7 @@ async fn a_midnight_gives_one_update_however_busy_the_map_is() {
         tokio::time::sleep(Duration::from_micros(200)).await;
     }
     assert_eq!(ended(&bench, 1).await, [UpdateCause::Midnight]);
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 1);
 }
 
@@ -425,7 +425,7 @@ async fn observations_ahead_of_the_clock_make_no_update_due_and_are_taken_in_the
         panic!("an acknowledgement");
     };
     assert_eq!(refused.iter().map(|r| (r.sequence, r.reason)).collect::<Vec<_>>(), [(1002, RefusalReason::Time)]);
-    looked(&bench, &handle).await;
+    schedule_checked(&bench, &handle).await;
     assert_eq!(bench.jobs.list().len(), 0);
     bench.clock.0.store(NOON + 2 * HOUR, Ordering::SeqCst);
     let job = bench.jobs.create(handle.spec.name.clone(), UpdateCause::Request, NOON);

@@ -94,7 +94,7 @@ impl Writer {
         match digest {
             Ok(digest) => {
                 let verdict = self.ends.digests.made(UpdateDone { generation, digest, maths: MATHS });
-                self.tell_verdict(generation, verdict);
+                self.report_verdict(generation, verdict);
             }
             Err(reason) => self.no_digest(generation, &reason),
         }
@@ -103,10 +103,10 @@ impl Writer {
     /// Takes the result of the writer's update from the log.
     pub(super) fn read_digest(&mut self, done: UpdateDone) {
         let verdict = self.ends.digests.read(done);
-        self.tell_verdict(done.generation, verdict);
+        self.report_verdict(done.generation, verdict);
     }
 
-    fn tell_verdict(&self, generation: u64, verdict: Option<DigestVerdict>) {
+    fn report_verdict(&self, generation: u64, verdict: Option<DigestVerdict>) {
         let map = &self.map.spec().name;
         match verdict {
             Some(DigestVerdict::Equal) => metrics::counter!("tidemap_cluster_digests_equal_total").increment(1),
@@ -123,7 +123,7 @@ impl Writer {
     }
 
     /// Appends, as the writer, the result of the last update to the log, unless it is in flight.
-    pub(super) fn say_update_end(&mut self) {
+    pub(super) fn log_update_end(&mut self) {
         let is_writer = self.follower.is_shared() && self.follower.is_writing();
         if !is_writer || self.appends.is_update_ending() || !self.updates.may_start(Instant::now()) {
             return;
@@ -134,9 +134,9 @@ impl Writer {
     }
 
     /// The log contains the result that this daemon has appended.
-    pub(super) fn update_end_said(&mut self, event: &Event) {
+    pub(super) fn note_logged_update_end(&mut self, event: &Event) {
         if let Event::UpdateDone(done) = event {
-            self.ends.digests.said(*done);
+            self.ends.digests.note_logged(*done);
             self.ends.publish();
         }
     }

@@ -204,12 +204,12 @@ impl Context {
         if outcome.waiting > 0 {
             info!(%map, trained = outcome.trained, waiting = outcome.waiting, "models wait to be trained at a later update");
         }
-        tell_late_rows(map, result.late_rows_outcome());
+        report_late_rows(map, result.late_rows_outcome());
         Ok(result)
     }
 }
 
-fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
+fn report_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
     let LateRowsOutcome { learned_anew, not_kept, beyond_bound, unreadable, failure } = outcome;
     if *learned_anew > 0 {
         info!(%map, states = learned_anew, "states are learned again, because some of their rows arrived late");

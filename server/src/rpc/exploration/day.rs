@@ -90,7 +90,7 @@ impl Explorations {
         let slots = DaySlots::of(&view.spec().zone, question.day, question.slot_nanos).map_err(PlanError::from)?;
         question.budget.visits(slots.count()).map_err(|error| PlanError::Day(error.into()))?;
         let tasks = match &question.tasks {
-            Some(asked) => Some(self.routes.plan_tasks(handle, &view, slots, asked, question.selector).await?),
+            Some(requested) => Some(self.routes.plan_tasks(handle, &view, slots, requested, question.selector).await?),
             None => None,
         };
         let has_locations = !view.site().locations().is_empty();
@@ -161,8 +161,8 @@ impl Day<'_> {
             let problem = Problem::TaskStates { states: tasks.len(), locations: names.len() };
             return Err(problem.of("task_states").into());
         }
-        let (context, asked) = (self.explorations.predict_context(), (tasks, self.middles.clone()));
-        let of_tasks = predict_series(context, self.handle, self.view, asked, selector).await?;
+        let (context, requested) = (self.explorations.predict_context(), (tasks, self.middles.clone()));
+        let of_tasks = predict_series(context, self.handle, self.view, requested, selector).await?;
         let task = Gains::of(self.middles.len(), names.len(), |slot, place| of_tasks[place][slot]);
         let weighed = task.and_then(|task| information.weighed(&task, weight));
         Ok(Some(weighed.map_err(|error| PlanError::Day(error.into()))?))

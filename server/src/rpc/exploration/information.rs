@@ -109,13 +109,13 @@ pub(super) async fn get_information(
             let all = targets.iter().map(|target| target.states.len() as u64).sum::<u64>();
             let (predictions, max) = (all * times_nanos.len() as u64, explorations.limits.predictions);
             check_limit("predictions", predictions, max, "setting max_predictions")?;
-            let asked = explorations.clone();
+            let shared = explorations.clone();
             Ok(stream_replies(move |sink| async move {
                 for target in targets {
                     let wanted = (target.states.clone(), times_nanos.clone());
                     let rows = tokio::select! {
                         () = sink.closed() => return Ok(()),
-                        rows = predict_series(asked.predict_context(), &handle, &view, wanted, selector) => rows?,
+                        rows = predict_series(shared.predict_context(), &handle, &view, wanted, selector) => rows?,
                     };
                     let answer = reply(&target, &rows, times_nanos.len(), certainty);
                     let to = sink.clone();

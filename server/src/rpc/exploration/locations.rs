@@ -33,18 +33,22 @@ pub(super) struct Locations {
 ///
 /// # Errors
 /// An unknown location, a state that is no probability, too many, or nothing to explore.
-pub(super) async fn find_locations(view: &Arc<MapView>, asked: &[StateName], max: u64) -> Result<Locations, RpcError> {
+pub(super) async fn find_locations(
+    view: &Arc<MapView>,
+    requested: &[StateName],
+    max: u64,
+) -> Result<Locations, RpcError> {
     let known: Vec<StateName>;
-    let asked = if asked.is_empty() {
+    let requested = if requested.is_empty() {
         known = view.site().locations().keys().cloned().collect();
         &known
     } else {
-        asked
+        requested
     };
-    check_limit("locations", asked.len() as u64, LOCATIONS_MAX as u64, "one request")?;
-    if !asked.is_empty() {
-        let members = find_members(view, asked, max).await?;
-        return Ok(Locations { names: asked.iter().map(|name| name.as_str().to_owned()).collect(), members });
+    check_limit("locations", requested.len() as u64, LOCATIONS_MAX as u64, "one request")?;
+    if !requested.is_empty() {
+        let members = find_members(view, requested, max).await?;
+        return Ok(Locations { names: requested.iter().map(|name| name.as_str().to_owned()).collect(), members });
     }
     let is_probability = |info: &&StateInfo| info.kind == StateKind::Probability;
     let names: Vec<String> = view.infos().filter(is_probability).map(|info| info.name.as_str().to_owned()).collect();
@@ -66,7 +70,7 @@ pub(super) async fn find_members(
     names: &[StateName],
     max: u64,
 ) -> Result<Vec<Vec<StateOrCell>>, RpcError> {
-    let mut asked = Vec::with_capacity(names.len());
+    let mut requested = Vec::with_capacity(names.len());
     let mut total = 0;
     for (i, name) in names.iter().enumerate() {
         let location = find_location(view, name)?;
@@ -75,13 +79,13 @@ pub(super) async fn find_members(
         total += (location.states.len() + location.cells.len()) as u64;
         // Each cell will have its description in memory.
         check_limit("predictions", total, max, "setting max_predictions")?;
-        asked.push(location);
+        requested.push(location);
     }
-    let cells = asked.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
+    let cells = requested.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
     let mut cells = find_all(view, |_| "locations".to_owned(), cells).await?.into_iter();
     let members = |location: &Location| {
         let states = location.states.iter().map(|&id| StateOrCell::State(id));
         states.chain(cells.by_ref().take(location.cells.len())).collect()
     };
-    Ok(asked.into_iter().map(members).collect())
+    Ok(requested.into_iter().map(members).collect())
 }

@@ -122,14 +122,14 @@ impl Slot<'_> {
     }
 
     async fn forecast(&self, times: &[i64], rows: Vec<Vec<f64>>) -> Result<SlotForecast<'_>, RpcError> {
-        let asked = (self.states(), times);
-        let bits = look_worths(self.explorations, self.view, asked, &rows, self.question.worth).await?;
+        let requested = (self.states(), times);
+        let bits = look_worths(self.explorations, self.view, requested, &rows, self.question.worth).await?;
         Ok(SlotForecast { rows, bits, members: &self.locations.members })
     }
 
     async fn series(&self, times: &[i64], selector: ModelSelector) -> Result<Vec<Vec<f64>>, RpcError> {
-        let (context, asked) = (self.explorations.predict_context(), (self.states(), times.to_vec()));
-        predict_series(context, self.handle, self.view, asked, selector).await
+        let (context, requested) = (self.explorations.predict_context(), (self.states(), times.to_vec()));
+        predict_series(context, self.handle, self.view, requested, selector).await
     }
 
     /// The most surprising location, or the planned one if none is surprising enough, with its surprise in bits. `now`

@@ -50,7 +50,7 @@ struct Known {
     writers: Mutex<HashMap<String, String>>,
     /// The writer of the maps that are held.
     writer_of_held: Mutex<Option<String>>,
-    heard: Mutex<Option<Instant>>,
+    last_contact: Mutex<Option<Instant>>,
 }
 
 impl Peers for Known {
@@ -78,8 +78,8 @@ impl Peers for Known {
         self.writer_of_held.lock().expect("not poisoned").clone()
     }
 
-    fn heard(&self, _: &MapName) -> Option<Instant> {
-        *self.heard.lock().expect("not poisoned")
+    fn last_contact(&self, _: &MapName) -> Option<Instant> {
+        *self.last_contact.lock().expect("not poisoned")
     }
 
     fn max_staleness(&self) -> Duration {
@@ -110,11 +110,11 @@ impl Member {
         restored_first_bytes: u64,
         access: Access,
     ) -> (Self, Vec<UnopenedMap>) {
-        Self::make(name, dir, Making { restored_first_bytes, access, max_states: 100, is_deaf: false }).await
+        Self::make(name, dir, Making { restored_first_bytes, access, max_states: 100, ignores_seen: false }).await
     }
 
     async fn make(name: &str, dir: tempfile::TempDir, making: Making) -> (Self, Vec<UnopenedMap>) {
-        let Making { restored_first_bytes, access, max_states, is_deaf } = making;
+        let Making { restored_first_bytes, access, max_states, ignores_seen } = making;
         let context = Context {
             store: Arc::new(store(dir.path())),
             jobs: Arc::new(Jobs::of_member(name)),
@@ -139,13 +139,13 @@ impl Member {
             addresses: Mutex::default(),
             writers: Mutex::default(),
             writer_of_held: Mutex::default(),
-            heard: Mutex::new(Some(Instant::now())),
+            last_contact: Mutex::new(Some(Instant::now())),
         });
         let (stop, stopping) = watch::channel(false);
         let page = PageAddress { address: ([127, 0, 0, 1], 1).into(), has_tls: false };
         let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None, tokens_in_clear: false };
         let services = services(Arc::clone(&catalog), &Settings::default(), page, Some(shared), stopping).await;
-        let address = serve(Ears { inner: services.guarded(access), is_deaf }).await;
+        let address = serve(SeenFilter { inner: services.guarded(access), ignores_seen }).await;
         let member = Self { catalog, known, address, stop, _dir: dir };
         member.knows(name, &member.address);
         (member, unopened)
@@ -159,8 +159,8 @@ impl Member {
         }
         a.knows("b", &b.address);
         b.knows("a", &a.address);
-        a.tell(ReplicaEvent::Following { writer: Some("b".to_owned()) }).await;
-        b.tell(ReplicaEvent::Writing { epoch: 1 }).await;
+        a.notify(ReplicaEvent::Following { writer: Some("b".to_owned()) }).await;
+        b.notify(ReplicaEvent::Writing { epoch: 1 }).await;
         (a, b)
     }
 
@@ -177,7 +177,7 @@ impl Member {
     }
 
     /// Passes an event of the map's replica, and waits until the map has its role.
-    async fn tell(&self, event: ReplicaEvent) {
+    async fn notify(&self, event: ReplicaEvent) {
         let handle = self.handle();
         let role = match &event {
             ReplicaEvent::Following { writer } => MapRole::Following { writer: writer.clone() },
@@ -221,17 +221,17 @@ struct Making {
     access: Access,
     max_states: usize,
     /// A planted defect: the daemon ignores what its clients have seen.
-    is_deaf: bool,
+    ignores_seen: bool,
 }
 
 /// A service that receives, or with the defect does not receive, what clients have seen.
 #[derive(Clone, Debug)]
-struct Ears<S> {
+struct SeenFilter<S> {
     inner: S,
-    is_deaf: bool,
+    ignores_seen: bool,
 }
 
-impl<S: Service<http::Request<tonic::body::Body>>> Service<http::Request<tonic::body::Body>> for Ears<S> {
+impl<S: Service<http::Request<tonic::body::Body>>> Service<http::Request<tonic::body::Body>> for SeenFilter<S> {
     type Response = S::Response;
     type Error = S::Error;
     type Future = S::Future;
@@ -241,7 +241,7 @@ impl<S: Service<http::Request<tonic::body::Body>>> Service<http::Request<tonic::
     }
 
     fn call(&mut self, mut request: http::Request<tonic::body::Body>) -> S::Future {
-        if self.is_deaf {
+        if self.ignores_seen {
             request.headers_mut().remove(AT_LEAST);
         }
         self.inner.call(request)
@@ -303,9 +303,9 @@ struct Silent {
 }
 
 /// Sends a message when it is dropped.
-struct TellLeft(mpsc::UnboundedSender<()>);
+struct ReportLeft(mpsc::UnboundedSender<()>);
 
-impl Drop for TellLeft {
+impl Drop for ReportLeft {
     fn drop(&mut self) {
         // The test may have ended.
         let _ = self.0.send(());
@@ -323,7 +323,7 @@ impl Service<http::Request<tonic::body::Body>> for Silent {
 
     fn call(&mut self, request: http::Request<tonic::body::Body>) -> Self::Future {
         let _ = self.heads.send(request.headers().clone());
-        let left = TellLeft(self.left.clone());
+        let left = ReportLeft(self.left.clone());
         Box::pin(async move {
             let _held = (request, left);
             std::future::pending().await

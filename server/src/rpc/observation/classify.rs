@@ -55,8 +55,8 @@ impl Observations {
             may_learn(&Caller::current(), start)?;
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
-        let (view, asked) = (handle.view(), question.clone());
-        let answered = run_blocking(self.permits.take().await?, move || answer(&view, &asked, utc_nanos));
+        let (view, requested) = (handle.view(), question.clone());
+        let answered = run_blocking(self.permits.take().await?, move || answer(&view, &requested, utc_nanos));
         let mut reply = answered.await??;
         let Some(start) = start else { return Ok(reply) };
         let states = self.learned_states(&handle, &question).await?;

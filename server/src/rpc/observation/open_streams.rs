@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_says_no_hello_makes_room_for_the_next() {
+    fn one_that_sends_no_hello_makes_room_for_the_next() {
         let streams = streams((2, 1), Duration::from_secs(60));
         let silent = streams.enter(&robot(1)).expect("room");
         let next = streams.enter(&robot(1)).expect("the first makes room");

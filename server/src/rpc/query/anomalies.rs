@@ -7,7 +7,7 @@ use std::sync::Arc;
 use tidemap_map::{
     anomaly::{Anomaly, Confidence, anomalies},
     history::Reading,
-    row_samples::AskedReadings,
+    row_samples::RequestedReadings,
     view::MapView,
 };
 use tidemap_model::{StopSignal, selector::ModelSelector};
@@ -84,16 +84,16 @@ pub(super) async fn find_anomalies(
     let v1::FindAnomaliesRequest { map, state: name, from_time, to_time, confidence, model } = request;
     let handle = find_map(&queries.catalog, &map).await?;
     let within_nanos = interval_from_wire(from_time, to_time)?;
-    let mut asked = PastQuery { name: name.clone(), within_nanos: within_nanos.clone() };
+    let mut query = PastQuery { name: name.clone(), within_nanos: within_nanos.clone() };
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
     if !view.labels(&name).is_empty() {
-        return labels::find_anomalies(queries, handle, view, asked, (selector, confidence)).await;
+        return labels::find_anomalies(queries, handle, view, query, (selector, confidence)).await;
     }
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
     if let StateOrCell::State(id) = subject {
-        asked.within_nanos = view.rows_about(id, &within_nanos);
+        query.within_nanos = view.rows_about(id, &within_nanos);
     }
     let max = queries.max_predictions;
     // Training comes before the permits to read are taken: it has its own permits, and may take long.
@@ -103,14 +103,14 @@ pub(super) async fn find_anomalies(
     } else {
         None
     };
-    let (permits, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
+    let (permits, gather) = past(queries, &handle, Arc::clone(&view), query).await?;
     Ok(compute_replies(permits, move |sink| {
         let judge = Judge { subject, trained };
         let is_left = || sink.is_closed();
         let mut readings = gather(StopSignal::new(&is_left))?;
         if let StateOrCell::State(id) = judge.subject {
             let at_most = usize::try_from(max).unwrap_or(usize::MAX).saturating_add(1);
-            readings = view.observed_readings(id, readings, &AskedReadings { within_nanos, at_most });
+            readings = view.observed_readings(id, readings, &RequestedReadings { within_nanos, at_most });
             check_limit("readings of the interval", readings.len() as u64, max, "setting max_predictions")?;
         }
         for readings in readings.chunks(READINGS_PER_REPLY) {

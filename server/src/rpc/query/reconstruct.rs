@@ -37,9 +37,9 @@ pub(super) async fn reconstruct(
 ) -> Result<Replies<v1::ReconstructResponse>, RpcError> {
     let v1::ReconstructRequest { map, state: name, from_time, to_time } = request;
     let handle = find_map(&queries.catalog, &map).await?;
-    let asked = PastQuery { name, within_nanos: interval_from_wire(from_time, to_time)? };
+    let query = PastQuery { name, within_nanos: interval_from_wire(from_time, to_time)? };
     let view = handle.view();
-    let (permits, gather) = past(queries, &handle, view, asked).await?;
+    let (permits, gather) = past(queries, &handle, view, query).await?;
     Ok(compute_replies(permits, move |sink| {
         let is_left = || sink.is_closed();
         for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
@@ -67,9 +67,9 @@ pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
     view: Arc<MapView>,
-    asked: PastQuery,
+    query: PastQuery,
 ) -> Result<(Vec<Permit>, impl FnOnce(StopSignal<'_>) -> Result<Vec<Reading>, RpcError> + Send + use<>), RpcError> {
-    let PastQuery { name, within_nanos } = asked;
+    let PastQuery { name, within_nanos } = query;
     let to_nanos = within_nanos.end;
     let past_permit = queries.past_permits.take().await?;
     let subject = find_subject(&view, &name).await?;

@@ -9,7 +9,7 @@ use tidemap_map::{
     anomaly::SurpriseQuestion,
     history::{Reading, Subject},
     ids::StateId,
-    row_samples::AskedReadings,
+    row_samples::RequestedReadings,
     view::MapView,
 };
 use tidemap_proto::{
@@ -42,7 +42,7 @@ pub(super) async fn list_surprises(
     let _past_permit = queries.past_permits.take().await?;
     for _ in 0..ATTEMPTS {
         let view = handle.view();
-        let states = asked_states(&view, &names)?;
+        let states = requested_states(&view, &names)?;
         let found = pending(&handle, &view, states, &question, queries.max_predictions).await?;
         if handle.view().generation() != view.generation() {
             continue;
@@ -61,7 +61,7 @@ pub(super) async fn list_surprises(
 }
 
 /// The states of these names, each once; all states if there are no names.
-fn asked_states(view: &MapView, names: &[String]) -> Result<Vec<StateId>, RpcError> {
+fn requested_states(view: &MapView, names: &[String]) -> Result<Vec<StateId>, RpcError> {
     if names.is_empty() {
         // The number of states is at most the number of ids.
         return Ok((0..view.len()).map(|id| StateId(id as u32)).collect());
@@ -115,8 +115,8 @@ fn stand_for(
     let mut total = 0_u64;
     let readings = |(state, pending)| {
         let at_most = usize::try_from(max - total).unwrap_or(usize::MAX).saturating_add(1);
-        let asked = AskedReadings { within_nanos: question.within_nanos.clone(), at_most };
-        let readings = view.pending_readings(state, pending, &asked);
+        let requested = RequestedReadings { within_nanos: question.within_nanos.clone(), at_most };
+        let readings = view.pending_readings(state, pending, &requested);
         total += readings.len() as u64;
         check_limit("observations to judge", total, max, "setting max_predictions")?;
         Ok((state, readings))

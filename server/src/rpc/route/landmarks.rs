@@ -107,7 +107,7 @@ fn to_remove(view: &MapView, removal: LandmarkRemoval) -> Result<Vec<(PlaceName,
 }
 
 /// The nodes at which the robot may be: those of the question, or all with image features.
-fn asked_nodes(view: &MapView, map: &str, nodes: Vec<PlaceName>) -> Result<Vec<PlaceName>, RouteError> {
+fn requested_nodes(view: &MapView, map: &str, nodes: Vec<PlaceName>) -> Result<Vec<PlaceName>, RouteError> {
     if !nodes.is_empty() {
         let known = |node: &PlaceName| find_node(map, view.site().topology(), &node.to_string()).map(drop);
         nodes.iter().try_for_each(known)?;
@@ -115,9 +115,9 @@ fn asked_nodes(view: &MapView, map: &str, nodes: Vec<PlaceName>) -> Result<Vec<P
     }
     let has_images =
         |known: &LandmarksAtPlace| known.landmarks().iter().any(|landmark| landmark.kind.feature().is_some());
-    let is_asked =
+    let is_requested =
         |at: &LandmarkPlace, known: &LandmarksAtPlace| matches!(at, LandmarkPlace::Node(_)) && has_images(known);
-    let nodes = all_places(view).into_iter().filter(|(_, at, known)| is_asked(at, known));
+    let nodes = all_places(view).into_iter().filter(|(_, at, known)| is_requested(at, known));
     let nodes: Vec<PlaceName> = nodes.map(|(place, ..)| place).collect();
     match nodes.len() {
         0 => Err(RouteError::NoLandmarks(map.to_owned())),
@@ -134,7 +134,7 @@ fn found(
     predictions_max: u64,
 ) -> Result<v1::LocaliseResponse, RpcError> {
     let LocaliseQuestion { time_nanos, seen, per_node, nodes } = question;
-    let nodes = asked_nodes(view, map, nodes)?;
+    let nodes = requested_nodes(view, map, nodes)?;
     let at = |node| view.landmarks_at(node).ok().flatten().map_or(0, |known| known.landmarks().len());
     let max = usize::try_from(predictions_max).unwrap_or(usize::MAX);
     let what = "landmarks of the nodes of one request";

@@ -75,7 +75,7 @@ impl NodeStates {
     ///
     /// # Errors
     /// There are none, or a state is not a probability.
-    pub(super) async fn asked(
+    pub(super) async fn find(
         routes: &Routes,
         map: &str,
         view: &Arc<MapView>,

@@ -32,7 +32,7 @@ pub(super) async fn predict_presence(
     let view = handle.view();
     let PresenceQuestion { times_nanos: times, selector, object } = presence_from_wire(request)?;
     let NodeStates { nodes, states, unobserved, unobserved_nodes } =
-        NodeStates::asked(routes, handle.spec.name.as_str(), &view, &object).await?;
+        NodeStates::find(routes, handle.spec.name.as_str(), &view, &object).await?;
     let rows = predict_series(routes.predict_context(), &handle, &view, (states, times.clone()), selector).await?;
     let at = |(index, &time_nanos): (usize, &i64)| {
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();

@@ -49,12 +49,12 @@ pub(super) async fn plan_search(
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let object = object_from_wire(request.object)?;
-    let found = NodeStates::asked(routes, &request.map, &view, &object).await?;
+    let found = NodeStates::find(routes, &request.map, &view, &object).await?;
     let NodeStates { nodes, states, unobserved, unobserved_nodes } = found;
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 
-    let asked = (states.clone(), vec![time_nanos]);
-    let rows = predict_series(routes.predict_context(), &handle, &view, asked, selector).await?;
+    let requested = (states.clone(), vec![time_nanos]);
+    let rows = predict_series(routes.predict_context(), &handle, &view, requested, selector).await?;
     let goals: Vec<Goal> =
         nodes.iter().zip(&rows).map(|(&node, row)| Goal { node, probability: row[0].clamp(0.0, 1.0) }).collect();
     if !request.for_arrival && goals.iter().all(|goal| goal.probability == 0.0) {

@@ -44,19 +44,19 @@ impl Routes {
         handle: &Arc<MapHandle>,
         view: &Arc<MapView>,
         slots: DaySlots,
-        asked: &DayTasks,
+        requested: &DayTasks,
         selector: ModelSelector,
     ) -> Result<PlannedTasks, RpcError> {
         let topology = self.open_topology(view).await?;
-        let start = start_node(view, &topology, asked.start_node.as_deref())?;
-        let chances = self.chances(handle, view, &slots, asked, selector).await?;
+        let start = start_node(view, &topology, requested.start_node.as_deref())?;
+        let chances = self.chances(handle, view, &slots, requested, selector).await?;
         let edges = Edges::new(self, handle, view, ModelSelector::default(), speed_from_wire(0.0)?).await?;
-        let (view, asked) = (Arc::clone(view), asked.clone());
+        let (view, requested) = (Arc::clone(view), requested.clone());
         let work = move |stop: StopSignal<'_>| {
-            let occurrences = occurrences(view.site().tasks().tasks(), &view.spec().zone, asked.day);
+            let occurrences = occurrences(view.site().tasks().tasks(), &view.spec().zone, requested.day);
             let first_nanos = slots.start_nanos(0);
             // Times of the day before `ready_nanos` are over.
-            let ready_nanos = asked.ready_nanos.unwrap_or(first_nanos).max(first_nanos);
+            let ready_nanos = requested.ready_nanos.unwrap_or(first_nanos).max(first_nanos);
             let RouteOptions { recovery_secs, failure_cost_secs, .. } = RouteOptions::default();
             let day = MapDay {
                 topology: &topology,
@@ -79,10 +79,10 @@ impl Routes {
         handle: &Arc<MapHandle>,
         view: &Arc<MapView>,
         slots: &DaySlots,
-        asked: &DayTasks,
+        requested: &DayTasks,
         selector: ModelSelector,
     ) -> Result<HashMap<StateName, Vec<f64>>, RpcError> {
-        let on_day = occurrences(view.site().tasks().tasks(), &view.spec().zone, asked.day);
+        let on_day = occurrences(view.site().tasks().tasks(), &view.spec().zone, requested.day);
         let of_task = |Occurrence { task, .. }: &Occurrence<'_>| task.value_state.clone();
         let mut names: Vec<StateName> = on_day.iter().filter_map(of_task).collect();
         names.sort_unstable();

@@ -58,9 +58,9 @@ impl TopologyService for Routes {
         let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
         let view = find_map(&self.catalog, &map).await?.view();
         let max_count = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
-        let asked = view.site().failures().newest_first();
-        let asked = asked.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));
-        let failures = asked.take(max_count).map(failure_to_wire).collect();
+        let requested = view.site().failures().newest_first();
+        let requested = requested.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));
+        let failures = requested.take(max_count).map(failure_to_wire).collect();
         Ok(Response::new(v1::ListFailuresResponse { failures }))
     }
 }

@@ -43,8 +43,8 @@ impl ModelTrainer {
             }
         }
         let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], source);
-        let (this, asked) = (Arc::clone(self), source.clone());
-        let train = move |stop| async move { this.train_flow(&axes, asked, stop).await };
+        let (this, requested) = (Arc::clone(self), source.clone());
+        let train = move |stop| async move { this.train_flow(&axes, requested, stop).await };
         self.flows.train_once(key, train).await.map_err(flow_error)
     }
 

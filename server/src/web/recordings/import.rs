@@ -122,13 +122,13 @@ impl Stopped {
 struct Listeners(mpsc::Sender<Result<Bytes, Infallible>>);
 
 impl Listeners {
-    async fn tell(&self, object: &Value) -> Result<(), Stopped> {
+    async fn send(&self, object: &Value) -> Result<(), Stopped> {
         let line = Bytes::from(format!("{object}\n"));
         self.0.send_timeout(Ok(line), READ_WITHIN).await.map_err(|_| Stopped::Left)
     }
 
     async fn line(&self, text: &str) -> Result<(), Stopped> {
-        self.tell(&json!({ "line": text })).await
+        self.send(&json!({ "line": text })).await
     }
 }
 
@@ -150,7 +150,7 @@ impl Import {
                 Err(error) => error.object(),
             };
             // A sender that has left does not receive the line.
-            drop(listeners.tell(&last).await);
+            drop(listeners.send(&last).await);
             drop(admitted);
         });
         lines
@@ -261,12 +261,12 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
         // A program that ends before it has read the token reports the reason.
         let _ = stdin.write_all(token.as_bytes()).await;
     }
-    let (said, mut lines) = mpsc::channel(LINES_AHEAD);
+    let (sender, mut lines) = mpsc::channel(LINES_AHEAD);
     if let Some(output) = child.stdout.take() {
-        crate::task::spawn(split(output, said.clone()));
+        crate::task::spawn(split(output, sender.clone()));
     }
     if let Some(output) = child.stderr.take() {
-        crate::task::spawn(split(output, said));
+        crate::task::spawn(split(output, sender));
     }
     let begun = Instant::now();
     let mut beat = tokio::time::interval(BEAT_EVERY);
@@ -283,7 +283,7 @@ async fn follow(child: &mut Child, token: Option<&str>, listeners: &Listeners) -
                 None => break,
             },
             _ = beat.tick() => {
-                listeners.tell(&json!({ "progress": { "seconds": begun.elapsed().as_secs() } })).await?;
+                listeners.send(&json!({ "progress": { "seconds": begun.elapsed().as_secs() } })).await?;
             }
         }
     }
@@ -335,21 +335,21 @@ mod tests {
         let mut child = command.kill_on_drop(true).spawn().expect("a shell");
         let (sender, mut receiver) = mpsc::channel(LINES_AHEAD);
         let listeners = Listeners(sender);
-        let heard = tokio::spawn(async move {
-            let mut heard = Vec::new();
+        let received = tokio::spawn(async move {
+            let mut received = Vec::new();
             while let Some(Ok(line)) = receiver.recv().await {
                 let object: Value = serde_json::from_slice(&line).expect("JSON");
-                heard.extend(object.get("line").cloned());
+                received.extend(object.get("line").cloned());
             }
-            heard
+            received
         });
         let status = follow(&mut child, token, &listeners).await.expect("it ends");
         drop(listeners);
-        (status, heard.await.expect("the lines"))
+        (status, received.await.expect("the lines"))
     }
 
     #[tokio::test]
-    async fn what_a_program_says_is_told_and_bounded() {
+    async fn the_output_of_a_program_is_passed_on_and_bounded() {
         let (status, lines) = lines_of("cat; echo; echo a >&2; exit 3", Some("secret")).await;
         assert_eq!((exit_status(status), lines.len()), (3, 2));
         assert!(lines.contains(&json!("secret")) && lines.contains(&json!("a")), "{lines:?}");
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_program_that_takes_too_much_of_the_processor_ends_and_says_why() {
+    async fn a_program_that_takes_too_much_of_the_processor_ends_with_the_reason() {
         let mut command = Command::new("/bin/sh");
         command.args(["-c", "while :; do :; done"]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.kill_on_drop(true).spawn().expect("a shell");
@@ -371,12 +371,12 @@ mod tests {
         let (sender, mut receiver) = mpsc::channel(LINES_AHEAD);
         let status = follow(&mut child, None, &Listeners(sender)).await.expect("it ends");
         assert_eq!(status.signal(), Some(Signal::XCPU.as_raw()));
-        let mut heard = Vec::new();
+        let mut received = Vec::new();
         while let Some(Ok(line)) = receiver.recv().await {
-            heard.extend_from_slice(&line);
+            received.extend_from_slice(&line);
         }
-        let heard = String::from_utf8_lossy(&heard);
-        assert!(heard.contains("processor time") && heard.contains("tidemap import"), "{heard}");
+        let received = String::from_utf8_lossy(&received);
+        assert!(received.contains("processor time") && received.contains("tidemap import"), "{received}");
         assert_eq!((cpu_secs(2_000), cpu_secs(4 << 30)), (CPU_SECS, CPU_SECS + 16_384));
     }
 

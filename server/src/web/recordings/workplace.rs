@@ -21,7 +21,7 @@ use super::{turns::Turn, upload_error::UploadError};
 /// Free bytes of the disk that must remain after files are written.
 const FREE_BYTES_KEPT: u64 = 1 << 30;
 /// Number of bytes that arrive between two checks of the free disk space.
-const LOOK_EVERY_BYTES: u64 = 64 << 20;
+const CHECK_INTERVAL_BYTES: u64 = 64 << 20;
 /// Maximum time until more of a file arrives.
 const PAUSE: Duration = Duration::from_secs(30);
 /// Maximum time of all pauses together, plus the time that the bytes that have arrived allow.
@@ -134,7 +134,7 @@ impl Workplace {
     /// The file is too large or empty, does not arrive, or the disk has no room.
     pub(super) async fn receive(&self, mut body: Body, max_bytes: u64) -> Result<u64, UploadError> {
         let mut file = tokio::fs::File::create_new(self.recording_folder().join(&self.file)).await?;
-        let (mut received, mut looked_at) = (0_u64, 0);
+        let (mut received, mut checked_at) = (0_u64, 0);
         let began = Instant::now();
         loop {
             let (due, late) = due(began, received);
@@ -144,8 +144,8 @@ impl Workplace {
             if received > max_bytes {
                 return Err(UploadError::TooLarge { max: max_bytes });
             }
-            if received - looked_at >= LOOK_EVERY_BYTES {
-                looked_at = received;
+            if received - checked_at >= CHECK_INTERVAL_BYTES {
+                checked_at = received;
                 check_room(&self.folder, 0)?;
             }
             self.written(file.write_all(&data).await)?;

@@ -65,7 +65,7 @@ pub(crate) fn read(disk: &dyn Disk, directory: &Path, repairs: &mut Vec<Repair>)
 }
 
 /// Lists the maps, and those that cannot be used, and changes nothing.
-pub(crate) fn look(disk: &dyn Disk, directory: &Path) -> Result<Catalogue, OpenError> {
+pub(crate) fn read_only(disk: &dyn Disk, directory: &Path) -> Result<Catalogue, OpenError> {
     read_with(disk, directory, &mut Vec::new(), &|_| Ok(()))
 }
 
@@ -115,7 +115,7 @@ fn read_with(
                     }
                     let reason = match failure {
                         ReadFailure::Damaged(reason) => format!("its file MAP cannot be used: {reason}. {RESTORE}"),
-                        ReadFailure::Disk(reason) => format!("its file MAP cannot be read: {reason}. {LOOK_AT_DISK}"),
+                        ReadFailure::Disk(reason) => format!("its file MAP cannot be read: {reason}. {CHECK_THE_DISK}"),
                     };
                     catalogue.set_aside.insert(map, SetAside { id: map, name: name_of(map), reason });
                 }
@@ -136,7 +136,7 @@ fn read_with(
 }
 
 /// Advice about a map that the disk does not give.
-const LOOK_AT_DISK: &str = "It may be sound: check the disk and the permissions, and restart the daemon";
+const CHECK_THE_DISK: &str = "It may be sound: check the disk and the permissions, and restart the daemon";
 /// Advice about a map that cannot be used.
 const RESTORE: &str = "Restore the folder of this map from a backup, or delete the map to continue without it";
 

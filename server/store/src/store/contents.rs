@@ -57,7 +57,7 @@ impl IndexContents {
             let reason = "there is none: this is no data directory of tidemapd".to_owned();
             return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
         }
-        let lock = Lock::look(directory)?;
+        let lock = Lock::take_to_read(directory)?;
         let index = if is_present(&folder) { Index::inspect(folder.clone(), cache_bytes) } else { Ok(Index::none()) };
         let mut index = index.map_err(|unopened| match unopened {
             Unopened::InUse => OpenError::Locked { directory: directory.to_owned(), pid: None },

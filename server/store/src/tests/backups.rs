@@ -117,8 +117,8 @@ fn a_backup_that_is_stopped_keeps_the_earlier_one() {
     store.backup(&backup).expect("backs up");
     append_all(&log, 21..=40);
     for files in 0..4 {
-        let asked = std::cell::Cell::new(0);
-        let goes_on = || asked.replace(asked.get() + 1) < files;
+        let calls = std::cell::Cell::new(0);
+        let goes_on = || calls.replace(calls.get() + 1) < files;
         assert!(matches!(store.backup_while(&backup, &goes_on), Err(BackupError::Stopped)), "{files}");
         let restored = work.path().join(format!("restored-{files}"));
         restore(&backup, &restored, OTHER_ID).expect("restores");

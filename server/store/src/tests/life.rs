@@ -53,7 +53,7 @@ fn a_restarted_log_goes_on() {
 }
 
 #[test]
-fn only_as_many_checkpoints_are_kept_as_asked_for() {
+fn only_the_requested_number_of_checkpoints_is_kept() {
     let directory = tempfile::tempdir().expect("temporary directory");
     fill(directory.path(), 30, &[5, 10, 15, 20], 64 << 20);
     let folder = directory.path().join("maps/00000001/checkpoints");
@@ -64,7 +64,7 @@ fn only_as_many_checkpoints_are_kept_as_asked_for() {
 }
 
 #[test]
-fn a_second_opener_is_told_who_is_first() {
+fn a_second_opener_gets_the_name_of_the_first() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let store = Store::open(directory.path(), options()).expect("opens");
     let before = content(directory.path());

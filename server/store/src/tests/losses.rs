@@ -210,7 +210,7 @@ fn shortened(data: &Path) -> (super::example::Example, PathBuf, PathBuf) {
 }
 
 #[test]
-fn a_missing_checkpoint_or_first_segment_is_told_until_it_is_needed_no_longer() {
+fn a_missing_checkpoint_or_first_segment_is_reported_until_it_is_needed_no_longer() {
     let directory = tempfile::tempdir().expect("temporary directory");
     for what in ["checkpoint", "segment"] {
         let data = &directory.path().join(what);

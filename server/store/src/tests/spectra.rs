@@ -160,7 +160,7 @@ fn before_history(expected: &[Option<MapSnapshot>], position: u64) -> Option<Map
 }
 
 #[test]
-fn an_update_whose_sums_cannot_be_read_says_so_and_changes_nothing() {
+fn an_update_whose_sums_cannot_be_read_fails_and_changes_nothing() {
     let spec = spec("office");
     let events = events(4);
     let directory = tempfile::tempdir().expect("temporary directory");

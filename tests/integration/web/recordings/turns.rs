@@ -36,13 +36,13 @@ fn a_sender_of_little_keeps_no_turn_and_takes_none_of_another_map() {
     let mut slow = chunked(&daemon, path);
     slow.write_all(b"5\r\n#ROSB\r\n").expect("a part");
     eventually("the file arrives", || data.path().join("uploads/0/recording/door.bag").exists());
-    refused(&look(&daemon, path, &[]), 429, "BUSY", &["into this map"]);
+    refused(&check(&daemon, path, &[]), 429, "BUSY", &["into this map"]);
     assert_eq!(imported(&send(&daemon, "other/recordings/door.bag", &[], &door(4))).1, 0);
     // An address has two turns.
     let mut second = chunked(&daemon, "other/recordings/door.bag");
     second.write_all(b"5\r\n#ROSB\r\n").expect("a part");
     eventually("the file arrives", || data.path().join("uploads/1/recording/door.bag").exists());
-    refused(&look(&daemon, "third/recordings/door.bag", &[]), 429, "BUSY", &["from this address"]);
+    refused(&check(&daemon, "third/recordings/door.bag", &[]), 429, "BUSY", &["from this address"]);
     drop(second);
     // A byte now and then does not keep the turn.
     let began = Instant::now();
@@ -57,7 +57,7 @@ fn a_sender_of_little_keeps_no_turn_and_takes_none_of_another_map() {
     };
     let answer = String::from_utf8_lossy(&answer[..length]);
     assert!(answer.contains(" 408 ") && answer.contains("KiB a second"), "{answer}");
-    eventually("the turn is free", || look(&daemon, path, &[]).code == 200);
+    eventually("the turn is free", || check(&daemon, path, &[]).code == 200);
     daemon.stop_in_order();
 }
 

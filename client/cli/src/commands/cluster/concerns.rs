@@ -12,7 +12,7 @@ use tidemap_proto::{
 use super::{rows::state, view::ClusterView};
 
 /// A follower that has not received the end of the log for this long needs attention.
-const HEARD_WITHIN_NANOS: i64 = 10_000_000_000;
+const CONTACT_WITHIN_NANOS: i64 = 10_000_000_000;
 
 /// The severity of a problem; as a number, the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,17 +44,17 @@ pub(super) fn worst(concerns: &[(Severity, String)]) -> Severity {
 /// The problems, the worst first.
 pub(super) fn concerns(view: &ClusterView) -> Vec<(Severity, String)> {
     let mut found = Vec::new();
-    let asked = &view.asked;
-    if !asked.engine_trouble.is_empty() {
-        found.push((Severity::Error, asked.engine_trouble.clone()));
+    let first_reply = &view.first_reply;
+    if !first_reply.engine_trouble.is_empty() {
+        found.push((Severity::Error, first_reply.engine_trouble.clone()));
     }
-    for server in asked.engine_servers.iter().filter(|server| server.syncs_always == Some(false)) {
+    for server in first_reply.engine_servers.iter().filter(|server| server.syncs_always == Some(false)) {
         found.push((
             Severity::Warning,
             format!("engine server {} acknowledges before it writes to its disk", server.name),
         ));
     }
-    for member in &asked.members {
+    for member in &first_reply.members {
         match state(view, member) {
             "gone" => found.push((Severity::Warning, format!("member {} is gone", member.name))),
             "silent" => {
@@ -65,7 +65,7 @@ pub(super) fn concerns(view: &ClusterView) -> Vec<(Severity, String)> {
             _ => {}
         }
     }
-    for map in &asked.maps {
+    for map in &first_reply.maps {
         of_map(view, map, &mut found);
     }
     found.sort_by_key(|(severity, _)| std::cmp::Reverse(*severity));
@@ -132,11 +132,11 @@ fn of_replica(map: &str, member: &str, replica: &v1::MapReplica, found: &mut Vec
         add(Severity::Error, "its newest generation differs from the writer's".to_owned());
     }
     match span(replica.heard_age) {
-        Some(heard) if heard <= HEARD_WITHIN_NANOS => {}
-        Some(heard) => {
+        Some(contact_age) if contact_age <= CONTACT_WITHIN_NANOS => {}
+        Some(contact_age) => {
             add(
                 Severity::Warning,
-                format!("it has not received the end of the shared log for {} s", heard / 1_000_000_000),
+                format!("it has not received the end of the shared log for {} s", contact_age / 1_000_000_000),
             );
         }
         None => add(Severity::Warning, "it has never received the end of the shared log".to_owned()),
@@ -182,12 +182,12 @@ mod tests {
 
     /// Two members that both hold the map; the replica of `b` is the argument.
     fn cluster(of_b: v1::MapReplica) -> ClusterView {
-        let mut asked = answer(replica(ReplicaRole::Writing, "0a"));
+        let mut first_reply = answer(replica(ReplicaRole::Writing, "0a"));
         let member =
             |name: &str| v1::ClusterMember { name: name.to_owned(), is_alive: true, ..v1::ClusterMember::default() };
-        asked.members = ["a", "b"].map(member).to_vec();
-        let answers = BTreeMap::from([("a".to_owned(), Ok(asked.clone())), ("b".to_owned(), Ok(answer(of_b)))]);
-        ClusterView { asked, answers }
+        first_reply.members = ["a", "b"].map(member).to_vec();
+        let answers = BTreeMap::from([("a".to_owned(), Ok(first_reply.clone())), ("b".to_owned(), Ok(answer(of_b)))]);
+        ClusterView { first_reply, answers }
     }
 
     #[test]
@@ -215,18 +215,18 @@ mod tests {
             check(&cluster(v1::MapReplica { forks: vec![fork], ..following() }), severity, "7 to 9");
         }
         let mut gone = cluster(following());
-        gone.asked.members[1].is_alive = false;
+        gone.first_reply.members[1].is_alive = false;
         gone.answers.insert("b".to_owned(), Err("refused".to_owned()));
         check(&gone, Severity::Warning, "member b is gone");
         let mut unwritten = cluster(following());
-        unwritten.asked.maps[0].replica = Some(following());
-        unwritten.answers.insert("a".to_owned(), Ok(unwritten.asked.clone()));
+        unwritten.first_reply.maps[0].replica = Some(following());
+        unwritten.answers.insert("a".to_owned(), Ok(unwritten.first_reply.clone()));
         check(&unwritten, Severity::Error, "no writer");
         let mut silent = cluster(following());
         silent.answers.insert("b".to_owned(), Err("late".to_owned()));
         check(&silent, Severity::Warning, "member b does not respond: late");
         let mut without_engine = cluster(following());
-        without_engine.asked.engine_trouble = "no connection".to_owned();
+        without_engine.first_reply.engine_trouble = "no connection".to_owned();
         check(&without_engine, Severity::Error, "no connection");
     }
 }

@@ -115,7 +115,7 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
     let HealArgs { map, accept_loss, dry_run } = args;
     let view = ClusterView::ask(&session.client, credentials).await?;
     let clients = view.clients(&session.client, credentials)?;
-    if view.asked.maps.iter().all(|known| known.map != map) {
+    if view.first_reply.maps.iter().all(|known| known.map != map) {
         return Err(ClusterLost(format!("map {map:?} does not exist in the cluster")).into());
     }
     let (mut printed, mut left) = (Vec::new(), 0);

@@ -89,26 +89,26 @@ pub(super) fn members(view: &ClusterView) -> Vec<Vec<Cell>> {
             answer.maps.iter().filter_map(|map| Some((map.map.as_str(), map.replica.as_ref()?))).collect();
         let writes = held.iter().filter(|(_, replica)| is_writing(replica)).count() as u64;
         let lag = held.iter().map(|(map, replica)| view.end(map).saturating_sub(replica.position)).max();
-        let heard = held.iter().filter_map(|(_, replica)| span(replica.heard_age)).max();
+        let contact_age = held.iter().filter_map(|(_, replica)| span(replica.heard_age)).max();
         let troubles = held.iter().filter(|(_, replica)| !replica.trouble.is_empty());
         let troubles: Vec<String> = troubles.map(|(map, replica)| format!("{map}: {}", replica.trouble)).collect();
         row.extend([
             writes.into(),
             (held.len() as u64 - writes).into(),
             Cell::maybe(lag),
-            Cell::secs(heard),
+            Cell::secs(contact_age),
             (held.iter().map(|(_, replica)| replica.forks.len() as u64).sum::<u64>()).into(),
             text_or_empty(&troubles.join("; ")),
         ]);
         row
     };
-    view.asked.members.iter().map(row).collect()
+    view.first_reply.members.iter().map(row).collect()
 }
 
 /// A row for each map and member that holds it or is to hold it.
 pub(super) fn maps(view: &ClusterView) -> Vec<Vec<Cell>> {
     let mut rows = Vec::new();
-    for map in &view.asked.maps {
+    for map in &view.first_reply.maps {
         let replicas = view.replicas(&map.map);
         let mut members: Vec<&str> = map.candidates.iter().map(String::as_str).collect();
         for (name, _) in &replicas {

@@ -15,7 +15,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 #[derive(Debug, Default)]
 pub(super) struct ClusterView {
     /// The reply of the first daemon; only this one includes the engine's report.
-    pub asked: v1::GetClusterStatusResponse,
+    pub first_reply: v1::GetClusterStatusResponse,
     /// The reply of each member, or the reason why there is none.
     pub answers: BTreeMap<String, Result<v1::GetClusterStatusResponse, String>>,
 }
@@ -38,9 +38,9 @@ impl ClusterView {
     /// # Errors
     /// The first daemon does not answer.
     pub(super) async fn ask(client: &Client, credentials: &Credentials) -> anyhow::Result<ClusterView> {
-        let asked = answer_of(client, true).await?;
+        let first_reply = answer_of(client, true).await?;
         let mut asking = Vec::new();
-        for member in asked.members.iter().filter(|member| member.name != asked.member) {
+        for member in first_reply.members.iter().filter(|member| member.name != first_reply.member) {
             let other = Client::with_credentials(&member.address, credentials);
             let answer = tokio::spawn(async move {
                 match other {
@@ -50,11 +50,11 @@ impl ClusterView {
             });
             asking.push((member.name.clone(), answer));
         }
-        let mut answers = BTreeMap::from([(asked.member.clone(), Ok(asked.clone()))]);
+        let mut answers = BTreeMap::from([(first_reply.member.clone(), Ok(first_reply.clone()))]);
         for (name, answer) in asking {
             answers.insert(name, answer.await?);
         }
-        Ok(ClusterView { asked, answers })
+        Ok(ClusterView { first_reply, answers })
     }
 
     /// A client of each member that answers, by name.
@@ -65,8 +65,9 @@ impl ClusterView {
     ) -> anyhow::Result<BTreeMap<String, Client>> {
         let mut clients = BTreeMap::new();
         for (name, _) in self.answers.iter().filter(|(_, answer)| answer.is_ok()) {
-            let address = self.asked.members.iter().find(|member| member.name == *name).map(|member| &member.address);
-            let own = match address.filter(|_| self.asked.member != *name) {
+            let address =
+                self.first_reply.members.iter().find(|member| member.name == *name).map(|member| &member.address);
+            let own = match address.filter(|_| self.first_reply.member != *name) {
                 Some(address) => Client::with_credentials(address, credentials)?,
                 None => client.clone(),
             };

@@ -11,7 +11,7 @@ use super::{
     super::{
         UsageError,
         grid::place::{AxisRange, Rectangle},
-        times::AskedTimesArgs,
+        times::RequestedTimesArgs,
     },
     ExportKind,
     frames::FrameOptions,
@@ -27,7 +27,7 @@ pub(crate) struct ExportArgs {
     /// File to write: .mcap, .yaml (with a .pgm beside it) or .geojson
     pub(super) path: PathBuf,
     #[command(flatten)]
-    pub(super) times: AskedTimesArgs,
+    pub(super) times: RequestedTimesArgs,
     /// With .mcap: contents to write [default: all that the map has]
     #[arg(long, value_name = "CONTENT,…", value_delimiter = ',')]
     pub(super) content: Vec<Content>,

@@ -20,14 +20,14 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
     let Some(RouteGraph { text, nodes, edges, unplaced_nodes, closed_edges }) = graph else {
         anyhow::bail!("map {:?} has no topological map: load one with topology load", args.map);
     };
-    tell_left_out(unplaced_nodes, closed_edges);
+    report_left_out(unplaced_nodes, closed_edges);
     files::replace(&args.path, text)?;
     let written = |content, count| Written { path: args.path.display().to_string(), content, count };
     Ok(vec![written("nodes", nodes), written("edges", edges)])
 }
 
 /// Reports the nodes and edges that a graph lacks.
-pub(super) fn tell_left_out(unplaced_nodes: u64, closed_edges: u64) {
+pub(super) fn report_left_out(unplaced_nodes: u64, closed_edges: u64) {
     if unplaced_nodes > 0 {
         status_line(&format!(
             "left out: {unplaced_nodes} nodes without a position, and their edges; topology edit set-node sets positions"

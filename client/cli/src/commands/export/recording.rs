@@ -14,7 +14,7 @@ use super::{
     ExportArgs, Written,
     args::Content,
     frames,
-    graph::{USUAL_FRAME, tell_left_out},
+    graph::{USUAL_FRAME, report_left_out},
 };
 use crate::progress::Bar;
 
@@ -88,14 +88,14 @@ async fn plan(session: &Session, args: &ExportArgs, map: &Map) -> anyhow::Result
     Ok(plan)
 }
 
-/// Writes the whole content of a map at one time. `tells`: whether to report omissions.
+/// Writes the whole content of a map at one time. `with_report`: whether to report omissions.
 async fn put(
     session: &Session,
     args: &ExportArgs,
     plan: &Plan,
     time_nanos: i64,
     recording: &mut Recording,
-    tells: bool,
+    with_report: bool,
 ) -> anyhow::Result<()> {
     let options = args.options();
     if plan.has_map || plan.has_grid {
@@ -111,8 +111,8 @@ async fn put(
         && let Some(graph) = frames::topology(session, &options, time_nanos, &plan.frame).await?
     {
         recording.topology(time_nanos, &graph.text)?;
-        if tells {
-            tell_left_out(graph.unplaced_nodes, graph.closed_edges);
+        if with_report {
+            report_left_out(graph.unplaced_nodes, graph.closed_edges);
         }
     }
     if !plan.states.is_empty() {

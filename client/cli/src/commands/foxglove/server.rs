@@ -205,26 +205,26 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
     status_line("open this address in Foxglove: Open connection, Foxglove WebSocket; end with Ctrl-C");
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut last_look = Instant::now();
+    let mut last_check = Instant::now();
     let mut problem = None;
     loop {
-        let is_asked = tokio::select! {
+        let is_requested = tokio::select! {
             () = time_bar.changed.notified() => true,
             _ = ticks.tick() => false,
         };
         let (was_playing, ended, at_nanos) = {
             let mut playback = time_bar.playback();
             let was_playing = playback.is_playing();
-            let ended = playback.advance(last_look.elapsed()).then_some(*playback);
-            last_look = Instant::now();
+            let ended = playback.advance(last_check.elapsed()).then_some(*playback);
+            last_check = Instant::now();
             (was_playing, ended, playback.at_nanos())
         };
-        if !is_asked && !was_playing {
+        if !is_requested && !was_playing {
             continue;
         }
         server.broadcast_time(unsigned(at_nanos));
         let sent = channels.put(session, &served, at_nanos).await.map_err(|error| format!("{error:#}"));
-        tell(&server, sent.err(), &mut problem);
+        report_once(&server, sent.err(), &mut problem);
         // The end is reported after its map, unless a client has moved the bar meanwhile.
         if let Some(ended) = ended.filter(|ended| *ended == *time_bar.playback()) {
             server.broadcast_playback_state(state(&ended, false));
@@ -233,7 +233,7 @@ pub(super) async fn run(session: &Session, served: Served) -> anyhow::Result<Exi
 }
 
 /// Reports a problem once; clients see it in Foxglove.
-fn tell(server: &WebSocketServerHandle, found: Option<String>, known: &mut Option<String>) {
+fn report_once(server: &WebSocketServerHandle, found: Option<String>, known: &mut Option<String>) {
     if found == *known {
         return;
     }

@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_far_from_the_origin_is_told_which_origin_would_do() {
+    fn the_error_of_a_map_far_from_the_origin_names_a_fitting_origin() {
         let cells = vec![GridCell::Free];
         let map = nav2::Grid {
             resolution_m: 0.1,

@@ -19,7 +19,7 @@ use tonic::Code;
 
 use super::place::{AxisRange, Rectangle, cells, corner_m};
 use crate::{
-    commands::{Session, UsageError, files, predict::check_for_cells, times::AskedTimesArgs, usage},
+    commands::{Session, UsageError, files, predict::check_for_cells, times::RequestedTimesArgs, usage},
     output,
     progress::status_line,
 };
@@ -44,7 +44,7 @@ pub(crate) struct GridPredictArgs {
     /// Name of the map
     map: String,
     #[command(flatten)]
-    times: AskedTimesArgs,
+    times: RequestedTimesArgs,
     /// File to write: .pgm (with a .yaml beside it), .png, .csv, .ply or .bt (OctoMap) [default: a picture in the
     /// terminal]
     #[arg(long, value_name = "PATH")]
@@ -188,7 +188,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
         return Err(usage("--pgm-mode goes with --out FILE.pgm only"));
     }
-    let times = args.times.asked(session, &args.map).await?;
+    let times = args.times.resolve(session, &args.map).await?;
     let query = GridQuery {
         map: args.map.clone(),
         time_nanos: times.first().copied().unwrap_or_default(),
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ending_says_what_to_write() {
+    fn an_ending_decides_what_to_write() {
         assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(OutputKind::Pgm));
         assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv, .ply or .bt")));
         assert_eq!(

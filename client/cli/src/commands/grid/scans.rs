@@ -81,7 +81,7 @@ pub(super) fn open(
                 break;
             }
         }
-        reader.tell_counts();
+        reader.report_counts();
     })?;
     Ok((receiver, bar))
 }
@@ -156,13 +156,13 @@ struct FileReader {
     grid: GridSpec,
     bar: Bar,
     /// Notices so far: each is printed once, for the first file to which it applies.
-    said: HashSet<String>,
+    printed: HashSet<String>,
     counts: CellCounts,
 }
 
 impl FileReader {
     fn new(options: ScanOptions, grid: GridSpec, bar: Bar) -> Self {
-        Self { options, grid, bar, said: HashSet::new(), counts: CellCounts::default() }
+        Self { options, grid, bar, printed: HashSet::new(), counts: CellCounts::default() }
     }
 
     /// Reads a file as one scan.
@@ -196,7 +196,7 @@ impl FileReader {
     }
 
     fn tiles(&mut self, file: &Path, on: GridMasks) -> Scan {
-        if let Some(notice) = on.notice.filter(|notice| self.said.insert(notice.clone())) {
+        if let Some(notice) = on.notice.filter(|notice| self.printed.insert(notice.clone())) {
             self.bar.status_line(&format!("{}: {notice}", file.display()));
         }
         self.counts.add(&on.counts);
@@ -207,7 +207,7 @@ impl FileReader {
     }
 
     /// Reports the cells of all files together that are not used, or are used with a changed value.
-    fn tell_counts(&self) {
+    fn report_counts(&self) {
         self.counts.notices().iter().for_each(|notice| self.bar.status_line(notice));
     }
 }

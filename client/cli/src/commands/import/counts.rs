@@ -90,7 +90,7 @@ impl TopicCounts {
     }
 
     /// Reports the reasons.
-    pub(super) fn tell(&self, surveyed: &Surveyed) {
+    pub(super) fn report(&self, surveyed: &Surveyed) {
         for (topic, count) in surveyed.topics.iter().zip(&self.0) {
             for (why, times) in &count.reasons {
                 let times = if *times == 1 { String::new() } else { format!(", {times} times") };

@@ -82,7 +82,7 @@ pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) ->
         ranges: Ranges { min_m: args.min_range, max_m: args.max_range },
         chunk: ImportChunk::default(),
         before: 0,
-        said: HashSet::new(),
+        printed: HashSet::new(),
         sender,
     };
     let recording = planned.recording.clone();
@@ -106,7 +106,7 @@ struct Reader {
     /// Bytes of the files before this one.
     before: u64,
     /// Notices about grids so far; each is printed once.
-    said: HashSet<String>,
+    printed: HashSet<String>,
     sender: mpsc::Sender<anyhow::Result<ImportChunk>>,
 }
 
@@ -149,7 +149,7 @@ impl Reader {
             Made::Grid(placed) => match &self.grid {
                 Some(grid) => {
                     let (scan, notice) = grid::cells(&placed, grid).map_err(NotMade::Wrong)?;
-                    if let Some(notice) = notice.filter(|notice| self.said.insert(notice.clone())) {
+                    if let Some(notice) = notice.filter(|notice| self.printed.insert(notice.clone())) {
                         status_line(&notice);
                     }
                     ImportContent::Scan(scan)

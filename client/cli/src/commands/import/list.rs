@@ -20,7 +20,7 @@ const COLUMNS: [&str; 7] = ["topic", "type", "messages", "becomes", "accepted", 
 pub(super) fn print(session: &Session, planned: &Planned) -> anyhow::Result<()> {
     let rows = rows(planned).map(|row| [row, vec![Cell::Empty; 3]].concat());
     session.print(&COLUMNS, rows)?;
-    tell(planned);
+    report(planned);
     for (topic, plan) in planned.surveyed.topics.iter().zip(&planned.plan.topics) {
         if let Some(why) = &plan.skipped {
             status_line(&format!("{}: {why}", topic.name));
@@ -63,10 +63,10 @@ pub(super) fn is_all_without_place(planned: &Planned) -> bool {
 }
 
 /// Reports what the rows do not contain: frames, transforms, times.
-pub(super) fn tell(planned: &Planned) {
+pub(super) fn report(planned: &Planned) {
     let Planned { surveyed, plan, .. } = planned;
     let places = |choice: FrameChoice, frame: &str| match choice {
-        FrameChoice::Asked => format!("everything is placed in frame {frame:?}, as requested"),
+        FrameChoice::Requested => format!("everything is placed in frame {frame:?}, as requested"),
         FrameChoice::Usual => format!("everything is placed in frame {frame:?}; --frame names another"),
         FrameChoice::Root => format!("everything is placed in frame {frame:?}, the root above the sensors"),
         FrameChoice::OfMessages | FrameChoice::None => format!("the messages are in frame {frame:?}"),
@@ -118,7 +118,7 @@ pub(super) fn tell(planned: &Planned) {
 }
 
 /// Reports a topic with so many clouds that most of them add no information.
-pub(super) fn tell_fast_clouds(planned: &Planned) {
+pub(super) fn report_fast_clouds(planned: &Planned) {
     let topics = planned.surveyed.topics.iter().zip(&planned.plan.topics);
     let clouds = topics.filter(|(_, plan)| plan.grid == Some(GridUse::Clouds));
     let rate = |topic: &TopicSurvey| {

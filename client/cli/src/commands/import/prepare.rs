@@ -40,7 +40,7 @@ impl Prepared {
                         args.map
                     )));
                 }
-                tell_of(&map, planned);
+                report_conflicts(&map, planned);
                 map
             }
             Err(error) if error.code() == Some(Code::NotFound) => create(session, args, planned).await?,
@@ -62,7 +62,7 @@ fn has_grid_use(planned: &Planned) -> bool {
 }
 
 /// Reports the properties of an existing map that conflict with the recording.
-fn tell_of(map: &Map, planned: &Planned) {
+fn report_conflicts(map: &Map, planned: &Planned) {
     match &map.grid {
         None if has_grid_use(planned) => status_line(&format!(
             "map {:?} has no grid, so scans, clouds and grids are refused: a new map gets one",

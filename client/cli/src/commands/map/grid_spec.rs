@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grid_is_shown_as_it_was_said() -> Result<(), String> {
+    fn a_grid_is_shown_as_it_was_given() -> Result<(), String> {
         for text in [
             "resolution=0.1,frame=map",
             "resolution=0.05,flat,origin=-1.5:2:0,min=-8:0:0,max=8:5:1,frame=odom",

@@ -138,7 +138,7 @@ pub(crate) struct RefusalReport {
     torn: bool,
     kept: Option<RefusedRows>,
     /// Reasons that were reported.
-    said: HashSet<String>,
+    printed: HashSet<String>,
     /// The number of reports for each reason, with all digits removed.
     alike: HashMap<String, u64>,
 }
@@ -154,7 +154,7 @@ impl RefusalReport {
             reported: 0,
             torn: false,
             kept: None,
-            said: HashSet::new(),
+            printed: HashSet::new(),
             alike: HashMap::new(),
         }
     }
@@ -190,18 +190,18 @@ impl RefusalReport {
 
     /// Whether a reason is to be reported.
     fn is_news(&mut self, why: &str) -> bool {
-        if self.reported >= REPORTED_MAX || self.said.contains(why) {
+        if self.reported >= REPORTED_MAX || self.printed.contains(why) {
             return false;
         }
         let without_numbers = why.replace(|letter: char| letter.is_ascii_digit() || "+-.:e".contains(letter), "");
         let alike = self.alike.entry(without_numbers).or_default();
         *alike += 1;
-        *alike <= ALIKE_MAX && self.said.insert(why.to_owned())
+        *alike <= ALIKE_MAX && self.printed.insert(why.to_owned())
     }
 
     /// Whether a reported reason has these words.
     pub(crate) fn has_reason(&self, words: &str) -> bool {
-        self.said.iter().any(|why| why.contains(words))
+        self.printed.iter().any(|why| why.contains(words))
     }
 
     /// Reports a file that was not sent, because it cannot be used.

@@ -70,7 +70,7 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<(RowSource, Option<u64>)> {
         let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
         (Box::new(file), total_bytes)
     };
-    let source = looked_at(source, path)?;
+    let source = checked_start(source, path)?;
     Ok(match source {
         (source, true) => (source, None),
         (source, false) => (source, total_bytes),
@@ -78,7 +78,7 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<(RowSource, Option<u64>)> {
 }
 
 /// Checks the start of a file; unpacks gzip. Returns whether it was packed.
-fn looked_at(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSource, bool)> {
+fn checked_start(source: Box<dyn Read + Send>, path: &Path) -> anyhow::Result<(RowSource, bool)> {
     let shown = || display_name(path);
     let mut source: RowSource = BufReader::with_capacity(BUFFER_BYTES, source);
     let is_packed = source.fill_buf().with_context(shown)?.starts_with(b"\x1f\x8b");
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     fn read(bytes: Vec<u8>) -> anyhow::Result<String> {
-        let (mut source, _) = looked_at(Box::new(Cursor::new(bytes)), Path::new("log.csv"))?;
+        let (mut source, _) = checked_start(Box::new(Cursor::new(bytes)), Path::new("log.csv"))?;
         let mut text = String::new();
         source.read_to_string(&mut text)?;
         Ok(text)

@@ -416,7 +416,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_wrong_with_a_traversal_is_told_and_no_daemon_takes_it() -> anyhow::Result<()> {
+    fn what_is_wrong_with_a_traversal_is_reported_and_no_daemon_takes_it() -> anyhow::Result<()> {
         let long = "n".repeat(129);
         for (row, words) in [
             ("Hall,Lab,10,12", "has 4 fields, the header has 5"),

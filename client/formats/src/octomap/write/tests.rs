@@ -53,7 +53,7 @@ fn expected(picture: &MapPicture, min_cell: [i32; 3]) -> BTreeMap<[i32; 3], bool
 }
 
 #[test]
-fn bytes_are_those_that_the_format_says() {
+fn bytes_are_those_of_the_format() {
     // The cell at the origin is occupied, its neighbour along x is free.
     let file = write(&at([0; 3], [2, 1, 1], vec![known(0.7), known(0.3)])).expect("a file");
     let data = file.split_at(file.len() - 32);

@@ -46,9 +46,9 @@ pub(super) enum Ask {
 }
 
 enum Inbox {
-    Told(ReplicaEvent),
+    Event(ReplicaEvent),
     Committed(Result<u64, AppendError>),
-    Asked(Ask),
+    Request(Ask),
 }
 
 /// A running daemon.
@@ -170,7 +170,7 @@ impl Daemon {
         };
         let (sender, inbox) = mpsc::unbounded_channel();
         let listening = sender.clone();
-        let listener: ReplicaListener = Arc::new(move |event| drop(listening.send(Inbox::Told(event))));
+        let listener: ReplicaListener = Arc::new(move |event| drop(listening.send(Inbox::Event(event))));
         let group_log = store.group_log(id).expect("open");
         let (replica, handle, log) = Replica::new(engine.clone(), settings, group_log, listener);
         handle.set_candidacy(Some(rank));
@@ -200,7 +200,7 @@ impl Daemon {
 
     pub(super) async fn ask(&self, ask: Ask) {
         // A daemon that ends never replies.
-        let _ = self.asks.send(Inbox::Asked(ask));
+        let _ = self.asks.send(Inbox::Request(ask));
     }
 
     /// The end of the own log.
@@ -228,33 +228,33 @@ impl MapTask {
     async fn run(mut self) {
         while let Some(message) = self.inbox.recv().await {
             match message {
-                Inbox::Told(ReplicaEvent::Followed { events, applied }) => {
+                Inbox::Event(ReplicaEvent::Followed { events, applied }) => {
                     for (position, event) in events {
                         self.apply(position, &event);
                     }
                     drop(applied);
                 }
-                Inbox::Told(ReplicaEvent::Writing { epoch }) => {
+                Inbox::Event(ReplicaEvent::Writing { epoch }) => {
                     self.is_writing = true;
                     self.epoch = epoch;
                     self.seen.lock().expect("sound").writes(&self.name, epoch, self.map.position());
                 }
-                Inbox::Told(ReplicaEvent::Following { .. }) => self.is_writing = false,
-                Inbox::Told(ReplicaEvent::Forked { common }) => {
+                Inbox::Event(ReplicaEvent::Following { .. }) => self.is_writing = false,
+                Inbox::Event(ReplicaEvent::Forked { common }) => {
                     if let Some(forked) = self.forked.take() {
                         let _ = forked.send(common);
                     }
                     return;
                 }
                 Inbox::Committed(result) => self.committed(&result),
-                Inbox::Asked(ask) => self.asked(ask),
+                Inbox::Request(ask) => self.handle_request(ask),
             }
             if self.in_flight.is_empty() {
                 if std::mem::take(&mut self.has_failed) {
                     self.log.resume();
                 }
                 for ask in std::mem::take(&mut self.waiting) {
-                    self.asked(ask);
+                    self.handle_request(ask);
                 }
             }
         }
@@ -295,7 +295,7 @@ impl MapTask {
         self.map.producer(&key).map(|(id, mark)| (id, mark.durable_sequence))
     }
 
-    fn asked(&mut self, ask: Ask) {
+    fn handle_request(&mut self, ask: Ask) {
         match ask {
             Ask::Welcome(producer, reply) => {
                 let durable = self.durable(&producer).map_or(0, |(_, durable)| durable);

@@ -301,7 +301,7 @@ proptest! {
 }
 
 #[test]
-fn what_the_history_does_not_tell_is_refused() {
+fn what_the_history_does_not_contain_is_refused() {
     let step = |producer| Step {
         producer,
         rows: (0..20).map(|at| (at % 2, 60 * i64::from(at), 4)).collect(),

@@ -88,7 +88,7 @@ fn descriptors_of_one_map_are_of_one_kind_and_length_until_it_has_no_landmark() 
 }
 
 #[test]
-fn what_is_wrong_changes_nothing_and_is_said() {
+fn what_is_wrong_changes_nothing_and_is_an_error() {
     let mut site = site();
     edit(&mut site, added("a", vec![image("one", 1)])).expect("valid");
     let before = site.clone();

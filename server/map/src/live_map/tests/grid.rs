@@ -34,12 +34,12 @@ proptest! {
     #![proptest_config(config())]
 
     #[test]
-    fn a_grid_says_of_each_cell_what_its_own_model_would(seed in any::<u64>(), steps in 1_usize..60) {
+    fn a_grid_gives_each_cell_the_answer_of_its_own_model(seed in any::<u64>(), steps in 1_usize..60) {
         follow(World::new(seed), seed, steps);
     }
 
     #[test]
-    fn a_grid_says_so_with_the_limits_of_the_daemon_too(seed in any::<u64>(), steps in 1_usize..60) {
+    fn a_grid_does_so_with_the_limits_of_the_daemon_too(seed in any::<u64>(), steps in 1_usize..60) {
         let mut world = World::new(seed);
         world.limits = UpdateLimits::default();
         follow(world, seed, steps);

@@ -93,7 +93,7 @@ fn a_log_with_values_beyond_the_bounds_of_a_state_is_refused() {
 }
 
 #[test]
-fn values_are_learned_restored_and_told_in_their_unit() {
+fn values_are_learned_restored_and_predicted_in_their_unit() {
     let mut map = mixed();
     let rows: Vec<(u32, i64, f64)> = (0..240)
         .flat_map(|hour| {

@@ -3,7 +3,7 @@
 use tidemap_model::{Hold, Sample};
 
 use super::*;
-use crate::{ids::NewProducer, row_samples::AskedReadings};
+use crate::{ids::NewProducer, row_samples::RequestedReadings};
 
 mod bounded;
 mod late;
@@ -112,7 +112,7 @@ fn changes_are_learned_as_the_values_that_hold_between_them() {
 }
 
 #[test]
-fn what_a_sensor_says_now_is_known_as_long_as_its_last_change_holds() {
+fn what_a_sensor_shows_now_is_known_as_long_as_its_last_change_holds() {
     let mut home = Home::new(StateKind::Probability, Reporting::Changes(hold(DAY, 5 * MINUTE)));
     home.observe(&office_hours(7), HOUR / 2);
     home.update(MONDAY + 7 * DAY);
@@ -190,12 +190,12 @@ fn events_are_learned_as_their_number_in_each_step() {
 }
 
 #[test]
-fn no_more_readings_are_made_of_rows_than_are_asked_for() {
+fn no_more_readings_are_made_of_rows_than_requested() {
     let mut home = Home::new(StateKind::Probability, Reporting::Changes(hold(7 * DAY, MINUTE)));
     home.observe(&office_hours(3), HOUR);
     let view = home.map.publish();
     let rows = office_hours(3);
-    let within = |hours: std::ops::Range<i64>, at_most| AskedReadings {
+    let within = |hours: std::ops::Range<i64>, at_most| RequestedReadings {
         within_nanos: MONDAY + hours.start * HOUR..MONDAY + hours.end * HOUR,
         at_most,
     };
@@ -218,6 +218,6 @@ fn an_interval_that_cuts_a_step_sees_all_its_events() {
     let within_nanos = MONDAY + 2 * HOUR..MONDAY + 3 * HOUR + 10 * MINUTE;
     let about = view.rows_about(StateId(0), &within_nanos);
     let rows = rows.into_iter().filter(|(nanos, _)| about.contains(nanos)).collect();
-    let found = view.observed_readings(StateId(0), rows, &AskedReadings { within_nanos, at_most: 9 });
+    let found = view.observed_readings(StateId(0), rows, &RequestedReadings { within_nanos, at_most: 9 });
     assert_eq!(found, [(MONDAY + 2 * HOUR, 6.0), (MONDAY + 3 * HOUR, 6.0)]);
 }

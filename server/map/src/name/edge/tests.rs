@@ -55,7 +55,7 @@ fn the_longest_names_are_bounded() {
 
 proptest! {
     #[test]
-    fn a_state_tells_its_edge(from in "[^/\\p{C}]{1,9}", to in "[^/\\p{C}]{1,9}", action in "[^/\\p{C}]{0,9}") {
+    fn a_state_name_contains_its_edge(from in "[^/\\p{C}]{1,9}", to in "[^/\\p{C}]{1,9}", action in "[^/\\p{C}]{0,9}") {
         let Ok(edge) = EdgeName::new(&from, &to, &action) else { return Ok(()) };
         for what in EdgeState::ALL {
             let name = edge.state(what);

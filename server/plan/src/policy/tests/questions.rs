@@ -111,7 +111,7 @@ fn questions_out_of_range_are_refused() {
 }
 
 #[test]
-fn a_policy_that_is_told_to_stop_ends_within_a_slot() {
+fn a_policy_that_is_stopped_ends_within_a_slot() {
     let town = street(1_000);
     let options = PolicyOptions { slots: 4, ..PolicyOptions::default() };
     let forecasts = std::cell::Cell::new(0);
@@ -119,10 +119,10 @@ fn a_policy_that_is_told_to_stop_ends_within_a_slot() {
         forecasts.set(forecasts.get() + 1);
         sure(edge, at_secs)
     };
-    let mut asked = 0;
+    let mut calls = 0;
     let until = || {
-        asked += 1;
-        asked > 3
+        calls += 1;
+        calls > 3
     };
     let stopped = solve_policy(&town, NodeId(3), &options, &mut counted, until);
     assert_eq!(stopped, Err(PolicyError::Stopped { left: 4, slots: 4 }));

@@ -92,7 +92,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             (true, Certainty::Proven),
         ];
         let certainty = certainty.into_iter().find(|found| found.0).map_or(Certainty::Proven, |found| found.1);
-        Ok(RoutePlan { routes, certainty, labels: self.labels, forecasts: self.cache.asked })
+        Ok(RoutePlan { routes, certainty, labels: self.labels, forecasts: self.cache.requests })
     }
 }
 

@@ -72,7 +72,7 @@ fn an_arrival_is_met_as_late_as_can_be() {
 }
 
 #[test]
-fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
+fn what_takes_too_long_differs_from_what_cannot_be_reached() {
     let options = RouteOptions { horizon_secs: 29.0, ..RouteOptions::default() };
     let error = ask(When::DepartAt(0.0), &options).unwrap_err();
     assert_eq!(error, PlanRouteError::BeyondHorizon { from: 0, to: 3, horizon_secs: 29.0 });
@@ -89,7 +89,7 @@ fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
 }
 
 #[test]
-fn a_search_that_ends_early_says_so() {
+fn a_search_that_ends_early_is_marked() {
     let work = SearchWork { labels_max: 1, ..SearchWork::USUAL };
     let (options, when) = (RouteOptions::default(), When::DepartAt(0.0));
     let ends = (NodeId(0), NodeId(3));

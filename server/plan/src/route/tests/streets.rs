@@ -86,7 +86,7 @@ fn what_does_not_change_with_time_has_the_shortest_way() {
 }
 
 #[test]
-fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
+fn with_few_labels_a_way_is_found_and_marked_as_cut_off() {
     let map = city(20, 3);
     let ask = |labels_max| {
         let work = SearchWork { labels_max, proof_labels: 0, ..SearchWork::USUAL };

@@ -37,7 +37,7 @@ fn steps(plan: &SearchPlan) -> Vec<(u32, f64)> {
 }
 
 #[test]
-fn rooms_that_are_passed_are_looked_at_and_the_walk_tells_all_of_them() {
+fn rooms_that_are_passed_are_searched_and_the_walk_lists_all_of_them() {
     let (flat, [hall, near, far, closet]) = flat();
     let likely = [(hall, 0.1), (near, 0.1), (far, 0.0), (closet, 0.8)];
     let plan = plan(&flat, &likely, &SearchOptions::default()).unwrap();
@@ -63,7 +63,7 @@ fn impossible_rooms_come_last_and_the_near_ones_of_them_first() {
 }
 
 #[test]
-fn a_room_whose_look_takes_long_is_passed_first_and_looked_at_later() {
+fn a_room_whose_look_takes_long_is_passed_first_and_searched_later() {
     let (mut flat, [hall, _, far, closet]) = flat();
     flat.set_node(far, None, Some(100.0)).unwrap();
     let likely = [(hall, 0.0), (far, 0.1), (closet, 0.9)];
@@ -154,17 +154,17 @@ fn a_search_of_a_hundred_thousand_places_is_refused_before_anything_is_computed(
 }
 
 #[test]
-fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
+fn a_search_that_is_cut_short_has_a_bound_of_its_quality() {
     for shape in [Shape::Complete, Shape::Streets] {
         let map = Map::random(shape, 22, false, 77);
         let (roads, goals) = (map.roads(), goals(&map));
         let best = search(&roads, map.start(), &goals, &SearchOptions::default(), || false).unwrap();
         assert!(best.optimal);
-        let mut asked = 0;
+        let mut calls = 0;
         for limit in [0, 1, 20, 400] {
             let until = || {
-                asked += 1;
-                asked > limit
+                calls += 1;
+                calls > limit
             };
             let cut = search(&roads, map.start(), &goals, &SearchOptions::default(), until).unwrap();
             assert_eq!(cut.steps.len(), 22);

@@ -53,12 +53,12 @@ impl Bare {
         }
     }
 
-    async fn answered<T>(&mut self, asked: impl Future<Output = T>) -> T {
-        let mut asked = std::pin::pin!(asked);
+    async fn answered<T>(&mut self, request: impl Future<Output = T>) -> T {
+        let mut request = std::pin::pin!(request);
         loop {
             tokio::select! {
                 biased;
-                answer = &mut asked => return answer,
+                answer = &mut request => return answer,
                 () = tokio::task::yield_now() => self.take_in(),
             }
         }

@@ -231,7 +231,7 @@ impl Follower {
         for group in groups.iter().filter(|group| group.before.position >= from && group.after.position <= to) {
             let events = self.log.append_group(group).expect("appended");
             for events in events.chunks(piece) {
-                self.replica.tell(events.to_vec()).await.expect("applied");
+                self.replica.send_events(events.to_vec()).await.expect("applied");
             }
         }
         assert_eq!(self.log.end().position, to, "groups end there");

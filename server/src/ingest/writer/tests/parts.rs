@@ -101,7 +101,7 @@ async fn a_restart_goes_on_with_what_an_update_left() {
             assert_eq!(handle.view().pending(), 0);
             return drop(kept);
         }
-        looked(&second, &handle).await;
+        schedule_checked(&second, &handle).await;
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     panic!("{} of {rows_left} rows wait", handle.view().waiting_rows());

@@ -21,7 +21,7 @@ pub(super) struct Replica {
     pub(super) forks: events::UnboundedReceiver<ForkedMap>,
     pub(super) fatal: events::UnboundedReceiver<String>,
     log: Arc<dyn EventLog>,
-    tell: ReplicaListener,
+    listener: ReplicaListener,
 }
 
 impl Replica {
@@ -49,8 +49,8 @@ impl Replica {
         restored.log = log.unwrap_or(restored.log);
         let log = Arc::clone(&restored.log);
         let handle = start(context.clone(), id, restored).expect("a thread");
-        let tell = handle.replica_listener();
-        Self { context, clock, id, handle, forks, fatal, log, tell }
+        let listener = handle.replica_listener();
+        Self { context, clock, id, handle, forks, fatal, log, listener }
     }
 
     /// Stops the map, which saves its unsaved data, and closes the store.
@@ -60,7 +60,7 @@ impl Replica {
     }
 
     pub(super) fn write(&self, epoch: u64) {
-        (self.tell)(ReplicaEvent::Writing { epoch });
+        (self.listener)(ReplicaEvent::Writing { epoch });
     }
 
     /// Does the same as [`Self::write`], with the record of the epoch in the log.
@@ -69,22 +69,22 @@ impl Replica {
         let (done, position) = oneshot::channel();
         self.log.append(&event, Box::new(move |result| drop(done.send(result)))).expect("queued");
         let position = position.await.expect("an answer").expect("in the log");
-        self.tell(vec![(position, event)]).await.expect("applied");
+        self.send_events(vec![(position, event)]).await.expect("applied");
         self.write(epoch);
     }
 
     pub(super) fn follow(&self, writer: &str) {
-        (self.tell)(ReplicaEvent::Following { writer: Some(writer.to_owned()) });
+        (self.listener)(ReplicaEvent::Following { writer: Some(writer.to_owned()) });
     }
 
     pub(super) fn fork(&self, common: u64) {
-        (self.tell)(ReplicaEvent::Forked { common });
+        (self.listener)(ReplicaEvent::Forked { common });
     }
 
     /// Sends events of the log; returns the receiver that is notified when they are applied.
-    pub(super) fn tell(&self, events: Vec<(u64, Event)>) -> oneshot::Receiver<()> {
+    pub(super) fn send_events(&self, events: Vec<(u64, Event)>) -> oneshot::Receiver<()> {
         let (applied, answer) = oneshot::channel();
-        (self.tell)(ReplicaEvent::Followed { events, applied });
+        (self.listener)(ReplicaEvent::Followed { events, applied });
         answer
     }
 

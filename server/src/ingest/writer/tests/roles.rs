@@ -108,7 +108,7 @@ async fn a_follower_takes_nothing_from_clients_and_shows_what_the_log_has() {
     assert!(handle.send(Command::Watch(reply)));
     let (mut feed, _) = answer.await.expect("an answer");
     let elsewhere = log.append_elsewhere(vec![observed(1..=2, NOON), observed(3..=3, NOON)]);
-    replica.tell(elsewhere).await.expect("applied");
+    replica.send_events(elsewhere).await.expect("applied");
     assert_eq!((handle.position(), handle.generation(), handle.view().observations()), (2, 0, 3));
     assert_eq!(replica.marks().await[0].durable_sequence, 3);
     assert!(feed.try_recv().is_ok(), "the watchers are notified");
@@ -147,7 +147,7 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
     assert_eq!((handle.position(), handle.view().observations(), handle.view().len()), (1, 1, 1));
 
     // The robot sends these to the other daemon.
-    replica.tell(log.append_elsewhere(vec![observed(2..=3, NOON)])).await.expect("applied");
+    replica.send_events(log.append_elsewhere(vec![observed(2..=3, NOON)])).await.expect("applied");
     assert_eq!((handle.position(), handle.view().observations()), (2, 3));
     log.reinstate();
     replica.write(3);
@@ -161,7 +161,7 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
 }
 
 #[tokio::test]
-async fn a_writer_that_may_have_been_replaced_tells_nobody_how_far_a_sequence_is_durable() {
+async fn a_writer_that_may_have_been_replaced_reports_to_nobody_how_far_a_sequence_is_durable() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     replica.write(1);
@@ -174,7 +174,7 @@ async fn a_writer_that_may_have_been_replaced_tells_nobody_how_far_a_sequence_is
 }
 
 #[tokio::test]
-async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer() {
+async fn a_stream_receives_what_is_in_the_log_before_it_learns_of_another_writer() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bare = bare(dir.path(), NOON, None);
     bare.writer.follower = Follower::new(watch::channel(MapRole::default()).0, true);
@@ -208,7 +208,7 @@ async fn the_log_names_its_writer() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     let epoch = Epoch { epoch: 1, writer: "b".to_owned(), version: "1".to_owned(), maths: 1 };
-    replica.tell(log.append_elsewhere(vec![Event::Epoch(epoch)])).await.expect("applied");
+    replica.send_events(log.append_elsewhere(vec![Event::Epoch(epoch)])).await.expect("applied");
     assert_eq!(hello(&replica.handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(Some("b")))));
     replica.stop().await;
 }
@@ -223,20 +223,20 @@ async fn streams_end_as_moved_also_where_the_log_knows_of_the_other_writer_first
     send(&replica.handle, &mut robot, vec![NOON]);
     assert_eq!(robot.events.recv().await, moved("b"));
     replica.follow("b");
-    looked_at(&replica.clock, &replica.handle).await;
+    schedule_checked_by(&replica.clock, &replica.handle).await;
     assert!(replica.fatal.try_recv().is_err(), "the daemon goes on");
     replica.stop().await;
 }
 
 #[tokio::test]
-async fn only_the_writer_makes_updates_due_and_says_what_they_made_before_the_next() {
+async fn only_the_writer_makes_updates_due_and_logs_what_they_made_before_the_next() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     replica.follow("b");
     let many = vec![observed(1..=2500, NOON - HOUR)];
-    replica.tell(log.append_elsewhere(many)).await.expect("applied");
+    replica.send_events(log.append_elsewhere(many)).await.expect("applied");
     replica.clock.0.store(NOON + 13 * HOUR, Ordering::SeqCst);
-    looked_at(&replica.clock, &replica.handle).await;
+    schedule_checked_by(&replica.clock, &replica.handle).await;
     assert_eq!(replica.context.jobs.list().len(), 0, "neither the midnight nor the number of observations");
 
     replica.write(2);
@@ -269,7 +269,7 @@ async fn a_midnight_whose_update_waited_when_another_daemon_took_over_is_due_aga
     log.grown(2).await;
     robot.observe(&replica.handle, NOON + 1).await;
     replica.clock.0.store(NOON + 13 * HOUR, Ordering::SeqCst);
-    looked_at(&replica.clock, &replica.handle).await;
+    schedule_checked_by(&replica.clock, &replica.handle).await;
     assert_eq!(replica.context.jobs.list().len(), 2);
     replica.follow("b");
     assert!(failed(&replica.context.jobs.list()[0]).await.contains("b does"));
@@ -286,10 +286,10 @@ async fn an_update_that_the_log_begins_waits_for_the_one_before() {
     let (replica, log) = replica(dir.path());
     let busy = keep_busy(&replica.context);
     let logged = log.append_elsewhere(vec![observed(1..=2, NOON), begun(1), observed(3..=3, NOON)]);
-    replica.tell(logged).await.expect("applied while the update runs");
+    replica.send_events(logged).await.expect("applied while the update runs");
     let logged = log.append_elsewhere(vec![observed(4..=4, NOON), begun(2), observed(5..=5, NOON)]);
-    let mut applied = replica.tell(logged);
-    looked_at(&replica.clock, &replica.handle).await;
+    let mut applied = replica.send_events(logged);
+    schedule_checked_by(&replica.clock, &replica.handle).await;
     assert!(applied.try_recv().is_err(), "so that no more events come");
     assert_eq!((replica.handle.position(), replica.handle.generation()), (4, 0));
     let job = &replica.context.jobs.list()[0];
@@ -309,16 +309,16 @@ async fn an_update_that_the_log_begins_waits_for_the_one_before() {
 }
 
 #[tokio::test]
-async fn a_writer_that_takes_over_says_what_the_update_begun_before_has_made() {
+async fn a_writer_that_takes_over_logs_what_the_update_begun_before_has_made() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     let busy = keep_busy(&replica.context);
-    replica.tell(log.append_elsewhere(vec![observed(1..=2, NOON), begun(1)])).await.expect("applied");
+    replica.send_events(log.append_elsewhere(vec![observed(1..=2, NOON), begun(1)])).await.expect("applied");
     replica.write(2);
-    let asked = replica.update();
+    let job = replica.update();
     let mut robot = hello(&replica.handle, "r", 1, false).await.expect("accepted while the update runs");
     robot.observe(&replica.handle, NOON + 5).await;
-    assert_eq!(asked.status().phase, Phase::Waiting);
+    assert_eq!(job.status().phase, Phase::Waiting);
     drop(busy);
     let events = log.grown(5).await;
     let generations: Vec<_> = events[3..5]
@@ -334,7 +334,7 @@ async fn a_writer_that_takes_over_says_what_the_update_begun_before_has_made() {
 }
 
 #[tokio::test]
-async fn a_follower_compares_what_its_updates_make_with_what_the_log_says() {
+async fn a_follower_compares_what_its_updates_make_with_the_log() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (writer, log) = replica(&dir.path().join("writer"));
     writer.write(1);
@@ -354,15 +354,15 @@ async fn a_follower_compares_what_its_updates_make_with_what_the_log_says() {
     done.digest.0 ^= 1;
     let (follower, _) = replica(&dir.path().join("follower"));
     let later = events.split_off(3);
-    follower.tell(events).await.expect("applied");
+    follower.send_events(events).await.expect("applied");
     compared(&follower, 1, true).await;
-    follower.tell(later).await.expect("applied");
+    follower.send_events(later).await.expect("applied");
     compared(&follower, 2, false).await;
     follower.stop().await;
 }
 
 #[tokio::test]
-async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_told() {
+async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_reported() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (mut replica, log) = replica(dir.path());
     replica.write(1);
@@ -371,7 +371,7 @@ async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_told()
     let busy = keep_busy(&replica.context);
     replica.update();
     log.grown(2).await;
-    let applied = replica.tell(Vec::new());
+    let applied = replica.send_events(Vec::new());
     replica.fork(1);
     applied.await.expect("applied");
     drop(busy);

@@ -38,12 +38,12 @@ async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<()
 async fn send(
     handle: &MapHandle,
     robot: &mut Robot,
-    said: Option<StateKind>,
+    kind: Option<StateKind>,
     values: &[f64],
 ) -> Vec<(u64, RefusalReason)> {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let name =
-        NewName { name: StateName::new("s").expect("valid"), shape: said.map(StateShape::from), reporting: None };
+        NewName { name: StateName::new("s").expect("valid"), shape: kind.map(StateShape::from), reporting: None };
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
     let batch = ObservationBatch {

@@ -25,7 +25,7 @@ impl Side {
     async fn follow(&self, other: &Side) {
         let known = self.log.events().len();
         let events = other.log.events().into_iter().skip(known).map(|(_, event)| event).collect();
-        self.replica.tell(self.log.append_elsewhere(events)).await.expect("applied");
+        self.replica.send_events(self.log.append_elsewhere(events)).await.expect("applied");
     }
 }
 

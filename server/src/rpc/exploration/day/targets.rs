@@ -52,8 +52,8 @@ impl Day<'_> {
             DayTargets::Locations(names) => {
                 let locations = find_locations(self.view, names, self.explorations.limits.predictions).await?;
                 let states: Vec<StateOrCell> = locations.members.iter().flatten().cloned().collect();
-                let (context, asked) = (self.explorations.predict_context(), (states, self.middles.clone()));
-                let rows = predict_series(context, self.handle, self.view, asked, self.question.selector).await?;
+                let (context, requested) = (self.explorations.predict_context(), (states, self.middles.clone()));
+                let rows = predict_series(context, self.handle, self.view, requested, self.question.selector).await?;
                 self.location_gains(locations, &rows).await
             }
         }
@@ -63,8 +63,8 @@ impl Day<'_> {
     /// locations.
     async fn location_gains(&self, locations: Locations, rows: &[Vec<f64>]) -> Result<(Vec<String>, Gains), RpcError> {
         let counts: Vec<usize> = locations.members.iter().map(Vec::len).collect();
-        let asked = (locations.members.into_iter().flatten().collect(), self.middles.as_slice());
-        let bits = look_worths(self.explorations, self.view, asked, rows, self.question.worth).await?;
+        let requested = (locations.members.into_iter().flatten().collect(), self.middles.as_slice());
+        let bits = look_worths(self.explorations, self.view, requested, rows, self.question.worth).await?;
         let gains = gains(&bits, &counts, self.middles.len()).map_err(PlanError::from)?;
         Ok((locations.names, gains))
     }

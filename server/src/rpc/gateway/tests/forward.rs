@@ -79,12 +79,12 @@ struct Members {
 }
 
 impl Members {
-    async fn start(is_deaf: bool) -> Arc<Self> {
+    async fn start(ignores_seen: bool) -> Arc<Self> {
         let log = Arc::new(CommonLog(Mutex::new((Vec::new(), NAMES[0]))));
         let mut members = Vec::new();
         for name in NAMES {
             let making =
-                Making { restored_first_bytes: u64::MAX, access: Access::Anybody, max_states: 1_000_000, is_deaf };
+                Making { restored_first_bytes: u64::MAX, access: Access::Anybody, max_states: 1_000_000, ignores_seen };
             let dir = tempfile::tempdir().expect("temporary folder");
             let (member, _) = Member::make(name, dir, making).await;
             member.catalog.create_on(spec(), Arc::new(LogOfMember { log: Arc::clone(&log), member: name }));
@@ -94,9 +94,9 @@ impl Members {
             members.iter().zip(NAMES).for_each(|(other, name)| member.knows(name, &other.address));
         }
         for member in &members[1..] {
-            member.tell(ReplicaEvent::Following { writer: Some(NAMES[0].to_owned()) }).await;
+            member.notify(ReplicaEvent::Following { writer: Some(NAMES[0].to_owned()) }).await;
         }
-        members[0].tell(ReplicaEvent::Writing { epoch: 1 }).await;
+        members[0].notify(ReplicaEvent::Writing { epoch: 1 }).await;
         Arc::new(Self { members, log, highest: Mutex::default(), is_over: AtomicBool::new(false) })
     }
 
@@ -143,10 +143,10 @@ impl Members {
             fed[old] = end;
             self.feed(new, &mut fed[new], end).await;
             epoch += 1;
-            self.members[new].tell(ReplicaEvent::Writing { epoch }).await;
+            self.members[new].notify(ReplicaEvent::Writing { epoch }).await;
             tokio::time::sleep(Duration::from_millis(random.random_range(0..300))).await;
             for index in (0..3).filter(|&index| index != new) {
-                self.members[index].tell(ReplicaEvent::Following { writer: Some(NAMES[new].to_owned()) }).await;
+                self.members[index].notify(ReplicaEvent::Following { writer: Some(NAMES[new].to_owned()) }).await;
             }
             writer = new;
         }
@@ -188,16 +188,16 @@ impl Members {
                 }
                 Err(status) => return Err(format!("{status:?}")),
             };
-            let says = shown(reply.metadata());
+            let stamp = shown(reply.metadata());
             let states = reply.into_inner().map.expect("a map").states;
-            if !says.reaches(wanted) || states < wanted.position {
+            if !stamp.reaches(wanted) || states < wanted.position {
                 return Err(format!(
-                    "{} shows {states} states and reports {says}, and {wanted} was seen",
+                    "{} shows {states} states and reports {stamp}, and {wanted} was seen",
                     NAMES[index]
                 ));
             }
-            own = own.max(says);
-            self.saw(says);
+            own = own.max(stamp);
+            self.saw(stamp);
             tally.answered.fetch_add(1, Ordering::Relaxed);
             tally.behind.fetch_add(u64::from(is_behind), Ordering::Relaxed);
         }
@@ -216,8 +216,8 @@ struct Tally {
 
 /// The oracle: views go only forward under a token. Returns the counts of the reads, or the first reply that shows
 /// less.
-async fn views_go_only_forward(is_deaf: bool, reads: u64) -> Result<Arc<Tally>, String> {
-    let members = Members::start(is_deaf).await;
+async fn views_go_only_forward(ignores_seen: bool, reads: u64) -> Result<Arc<Tally>, String> {
+    let members = Members::start(ignores_seen).await;
     let tally = Arc::new(Tally::default());
     let (mut readers, mut others) = (JoinSet::new(), JoinSet::new());
     for seed in 0..READERS as u64 {

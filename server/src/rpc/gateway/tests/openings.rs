@@ -39,7 +39,7 @@ async fn opening_and_writer() -> (Member, Vec<UnopenedMap>, Member) {
     assert_eq!(unopened.len(), 1);
     let b = Member::start("b").await;
     b.create().await;
-    b.tell(ReplicaEvent::Writing { epoch: 1 }).await;
+    b.notify(ReplicaEvent::Writing { epoch: 1 }).await;
     a.knows("b", &b.address);
     (a, unopened, b)
 }
@@ -90,9 +90,9 @@ async fn what_was_seen_of_a_map_that_is_gone_is_asked_of_none_that_has_its_name(
 }
 
 #[tokio::test]
-async fn a_follower_that_does_not_hear_who_writes_asks_the_cluster() {
+async fn a_follower_that_does_not_know_the_writer_asks_the_cluster() {
     let (a, b) = Member::pair().await;
-    a.tell(ReplicaEvent::Following { writer: None }).await;
+    a.notify(ReplicaEvent::Following { writer: None }).await;
     *a.known.writer_of_held.lock().expect("not poisoned") = Some("b".to_owned());
     a.add_state("door").await.expect("the writer takes it");
     assert_eq!(b.handle().view().len(), 1);

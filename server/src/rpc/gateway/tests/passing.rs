@@ -18,7 +18,7 @@ async fn the_writer_does_what_a_follower_is_asked() {
 #[tokio::test]
 async fn what_was_passed_on_once_is_not_passed_on_again() {
     let (a, b) = Member::pair().await;
-    b.tell(ReplicaEvent::Following { writer: Some("a".to_owned()) }).await;
+    b.notify(ReplicaEvent::Following { writer: Some("a".to_owned()) }).await;
     let refused = a.add_state("door").await.expect_err("each takes the other for the writer");
     assert_eq!(reason(&refused), (Code::Unavailable, "NOT_WRITER".to_owned()));
     assert!(refused.message().starts_with("a passed the request to this daemon"), "{refused:?}");
@@ -27,26 +27,26 @@ async fn what_was_passed_on_once_is_not_passed_on_again() {
 #[tokio::test]
 async fn a_writer_that_is_not_known_or_away_is_waited_for() {
     let (a, b) = Member::pair().await;
-    a.tell(ReplicaEvent::Following { writer: None }).await;
+    a.notify(ReplicaEvent::Following { writer: None }).await;
     let refused = a.add_state("door").await.expect_err("no writer");
     assert_eq!(reason(&refused), (Code::Unavailable, "NO_WRITER".to_owned()));
     // A port that nobody listens to.
     let free = TcpListener::bind("127.0.0.1:0").await.expect("a port").local_addr().expect("an address");
     a.knows("c", &format!("http://{free}"));
-    a.tell(ReplicaEvent::Following { writer: Some("c".to_owned()) }).await;
+    a.notify(ReplicaEvent::Following { writer: Some("c".to_owned()) }).await;
     let refused = a.add_state("door").await.expect_err("nobody is there");
     assert_eq!(reason(&refused), (Code::Unavailable, "UNREACHABLE".to_owned()));
     let (added, ()) = tokio::join!(a.add_state("door"), async {
         // The request waits meanwhile.
         tokio::time::sleep(Duration::from_millis(50)).await;
-        a.tell(ReplicaEvent::Following { writer: Some("b".to_owned()) }).await;
+        a.notify(ReplicaEvent::Following { writer: Some("b".to_owned()) }).await;
     });
     added.expect("the new writer takes it");
     assert_eq!(b.handle().view().len(), 1);
-    a.tell(ReplicaEvent::Following { writer: None }).await;
+    a.notify(ReplicaEvent::Following { writer: None }).await;
     let (added, ()) = tokio::join!(a.add_state("window"), async {
         tokio::time::sleep(Duration::from_millis(50)).await;
-        a.tell(ReplicaEvent::Writing { epoch: 2 }).await;
+        a.notify(ReplicaEvent::Writing { epoch: 2 }).await;
     });
     added.expect("this daemon writes now");
     assert_eq!(a.handle().view().len(), 1);

@@ -27,14 +27,14 @@ impl Robot {
         Self { requests, replies }
     }
 
-    async fn say(&self, message: Up) {
+    async fn send_message(&self, message: Up) {
         self.requests.send(v1::ObserveRequest { message: Some(message) }).await.expect("the stream is open");
     }
 
     async fn hello(member: &Member, incarnation: u64) -> Result<(Self, v1::Welcome), Status> {
         let mut robot = Self::connect(member).await;
         let (producer, map) = ("robot".to_owned(), "office".to_owned());
-        robot.say(Up::Hello(v1::Hello { producer, map, incarnation, ..v1::Hello::default() })).await;
+        robot.send_message(Up::Hello(v1::Hello { producer, map, incarnation, ..v1::Hello::default() })).await;
         match robot.reply().await? {
             Some(Down::Welcome(welcome)) => Ok((robot, welcome)),
             other => panic!("a Welcome should come, not {other:?}"),
@@ -54,7 +54,7 @@ impl Robot {
             values: (0..BATCH).map(|number| (number % 2) as f64).collect(),
             ..v1::ObservationColumns::default()
         };
-        self.say(Up::Batch(v1::ObservationBatch { first_sequence: first, observations: Some(columns) })).await;
+        self.send_message(Up::Batch(v1::ObservationBatch { first_sequence: first, observations: Some(columns) })).await;
     }
 
     /// Waits until this number is acknowledged; returns the log position.
@@ -122,7 +122,7 @@ async fn a_stream_of_replies_is_passed_on() {
 async fn a_stream_that_is_passed_on_ends_with_a_status() {
     let (a, b) = Member::pair().await;
     let (mut robot, _) = Robot::hello(&a, 0).await.expect("welcome");
-    b.tell(ReplicaEvent::Following { writer: Some("a".to_owned()) }).await;
+    b.notify(ReplicaEvent::Following { writer: Some("a".to_owned()) }).await;
     let ended = loop {
         match robot.reply().await {
             Ok(Some(Down::Goodbye(_))) => {}
@@ -135,7 +135,7 @@ async fn a_stream_that_is_passed_on_ends_with_a_status() {
     let refused = Robot::hello(&a, 0).await.map(|_| ()).expect_err("passed on once");
     assert_eq!(reason(&refused), (Code::Unavailable, "NOT_WRITER".to_owned()));
 
-    b.tell(ReplicaEvent::Writing { epoch: 3 }).await;
+    b.notify(ReplicaEvent::Writing { epoch: 3 }).await;
     let (mut robot, _) = Robot::hello(&a, 0).await.expect("welcome");
     a.stop.send_replace(true);
     let ended = robot.reply().await.expect_err("the daemon in between stops");

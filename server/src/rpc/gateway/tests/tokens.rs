@@ -30,11 +30,11 @@ impl Member {
 }
 
 #[tokio::test]
-async fn a_token_for_other_maps_does_not_hear_how_a_map_is_doing() {
+async fn a_token_for_other_maps_does_not_show_the_condition_of_a_map() {
     let a = member("a").await;
     a.create().await;
-    a.tell(ReplicaEvent::Following { writer: None }).await;
-    *a.known.heard.lock().expect("not poisoned") = None;
+    a.notify(ReplicaEvent::Following { writer: None }).await;
+    *a.known.last_contact.lock().expect("not poisoned") = None;
     for map in ["office", "no-map"] {
         assert_eq!(reason(&a.refusal(map).await), (Code::PermissionDenied, "NOT_FOR_MAP".to_owned()), "{map}");
     }

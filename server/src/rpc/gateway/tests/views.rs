@@ -32,7 +32,7 @@ fn at(position: u64) -> Option<ReadToken> {
 }
 
 #[tokio::test]
-async fn a_follower_answers_and_says_what_it_shows() {
+async fn a_follower_answers_with_the_state_of_its_copy() {
     let (a, b) = Member::pair().await;
     b.add_state("elsewhere").await.expect("added");
     a.follow(1, &["door", "window"]).await;
@@ -42,10 +42,10 @@ async fn a_follower_answers_and_says_what_it_shows() {
 }
 
 #[tokio::test]
-async fn a_follower_that_has_not_heard_of_the_log_refuses_unless_that_is_allowed() {
+async fn a_follower_without_contact_to_the_log_refuses_unless_that_is_allowed() {
     let (a, _b) = Member::pair().await;
     a.follow(1, &["door"]).await;
-    *a.known.heard.lock().expect("not poisoned") = None;
+    *a.known.last_contact.lock().expect("not poisoned") = None;
     let refused = a.states(None).await.expect_err("stale");
     assert_eq!(reason(&refused), (Code::Unavailable, "STALE".to_owned()));
     let mut request = tonic::Request::new(v1::ListStatesRequest { map: "office".to_owned(), ..Default::default() });

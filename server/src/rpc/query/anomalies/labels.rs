@@ -36,11 +36,11 @@ pub(super) async fn find_anomalies(
     queries: &Queries,
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    asked: PastQuery,
+    query: PastQuery,
     (selector, confidence): (ModelSelector, Confidence),
 ) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
     let labels: Vec<(StateId, String)> =
-        view.labels(&asked.name).into_iter().map(|(id, label)| (id, label.to_owned())).collect();
+        view.labels(&query.name).into_iter().map(|(id, label)| (id, label.to_owned())).collect();
     let mut judged = Vec::with_capacity(labels.len());
     let mut total = 0;
     for (id, label) in labels {
@@ -50,8 +50,8 @@ pub(super) async fn find_anomalies(
         } else {
             None
         };
-        let name = format!("{}/{label}", asked.name);
-        let of_label = PastQuery { name, ..asked.clone() };
+        let name = format!("{}/{label}", query.name);
+        let of_label = PastQuery { name, ..query.clone() };
         let (permits, gather) = past(queries, &handle, Arc::clone(&view), of_label).await?;
         let readings = run_while_awaited(permits, None, move |stop: StopSignal<'_>| gather(stop)).await??;
         total += readings.len() as u64;

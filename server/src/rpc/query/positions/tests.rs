@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn cells_cover_what_was_asked_for_and_no_more_than_a_cell_beyond() {
+fn cells_cover_what_was_requested_and_no_more_than_a_cell_beyond() {
     let cells = Cells::of(&[-1.0, 2.0], &[5.0, 4.5], Some(0.5));
     assert_eq!((cells.counts.as_slice(), cells.edge_m, cells.number()), (&[12, 5][..], 0.5, 60));
     assert_eq!(Cells::of(&[0.0, 0.0], &[1.0, 1.05], Some(0.1)).counts, [10, 11]);

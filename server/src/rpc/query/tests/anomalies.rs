@@ -174,7 +174,7 @@ fn rows(reply: v1::WatchAnomaliesResponse) -> Vec<(String, i64, f64, f64)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
+async fn a_watcher_receives_what_is_not_expected_as_soon_as_it_is_durable() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (bench, mut robot) = always_open(dir.path()).await;
     let mut all = bench.watch(v1::WatchAnomaliesRequest::default()).await.expect("accepted");
@@ -207,7 +207,7 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_watcher_hears_of_cells_what_is_found_later() {
+async fn a_watcher_receives_of_cells_what_is_found_later() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::Forever)).await;
     let mut robot = bench.robot("s").await;
@@ -377,7 +377,7 @@ async fn a_watch_ends_with_its_map_and_its_place_is_free_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed() {
+async fn one_who_does_not_read_holds_nobody_up_and_receives_the_number_of_missed() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (bench, mut robot) = always_open(dir.path()).await;
     let mut slow = bench.watch(v1::WatchAnomaliesRequest::default()).await.expect("accepted");

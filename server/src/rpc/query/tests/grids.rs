@@ -76,7 +76,7 @@ async fn a_map_without_a_grid_has_no_cells() {
 }
 
 #[tokio::test]
-async fn a_grid_is_told_tile_by_tile() {
+async fn a_grid_is_sent_tile_by_tile() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::None, Some(Retention::None)).await;
     let nothing = bench.grid(at(NOON)).await.expect("a grid");
@@ -116,7 +116,7 @@ async fn a_grid_is_told_tile_by_tile() {
 }
 
 #[tokio::test]
-async fn questions_that_cannot_be_answered_say_why() {
+async fn questions_that_cannot_be_answered_end_with_the_reason() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::None, Some(Retention::None)).await;
     bench.robot("r").await.show(&bench, &minutes(3)).await;

@@ -20,7 +20,7 @@ fn check(found: Result<Vec<(i64, f64)>, Status>, expected: &[(i64, f64)]) {
 }
 
 #[tokio::test]
-async fn what_was_observed_is_told_wherever_it_is() {
+async fn what_was_observed_is_returned_wherever_it_is() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::Forever)).await;
     let (door, scans) = (door(4000), minutes(4000));
@@ -63,7 +63,7 @@ async fn what_was_observed_is_told_wherever_it_is() {
 }
 
 #[tokio::test]
-async fn what_is_not_kept_is_said_to_be_not_kept() {
+async fn what_is_not_kept_is_reported_as_not_kept() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::None, Some(Retention::None)).await;
     bench.robot("r").await.observe(&bench, &door(5)).await;

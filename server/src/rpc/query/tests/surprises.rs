@@ -56,7 +56,7 @@ async fn an_observation_is_as_surprising_after_it_was_learned_as_before() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_asked_wrongly_is_refused() {
+async fn a_wrong_request_is_refused() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::None, Some(Retention::Forever)).await;
     let mut robot = bench.robot("r").await;

@@ -135,7 +135,7 @@ async fn a_state_of_which_nothing_was_learned_answers_as_with_every_model() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_model_cannot_be_trained_on_is_said() {
+async fn what_a_model_cannot_be_trained_on_is_reported() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::None, Some(Retention::Forever)).await;
     bench.robot("r").await.observe(&bench, &door(0..5)).await;

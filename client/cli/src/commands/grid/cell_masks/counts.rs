@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_cell_is_used_as_it_is_or_said() {
+    fn every_cell_is_used_as_it_is_or_named_in_a_notice() {
         let mut counts = CellCounts::default();
         let between = GridCell::Between { percent: 70 };
         assert_eq!(counts.reading(GridCell::Free, GridMode::Raw, Between::Leave), Some(false));

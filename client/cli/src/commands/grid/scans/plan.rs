@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ending_says_what_a_file_is() {
+    fn an_ending_decides_what_a_file_is() {
         assert_eq!(kind(Path::new("a/b.TMS")).ok(), Some(FileKind::Scans));
         assert_eq!(kind(Path::new("map.pgm")).ok(), Some(FileKind::Plane));
         for unknown in ["scan", "scan.las", "-"] {

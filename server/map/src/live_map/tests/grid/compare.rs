@@ -103,18 +103,18 @@ impl World {
         at: &str,
     ) {
         for id in (0..u32::try_from(grid.tiles()).expect("few")).map(TileId) {
-            let said = grid.predict_tile(id, utc_nanos, phasors, selector).expect("in memory");
+            let tile = grid.predict_tile(id, utc_nanos, phasors, selector).expect("in memory");
             for cell in 0..512_u16 {
-                let found = f64::from(said.probabilities[usize::from(cell)]);
-                let Some(oracle) = self.oracle.known(said.index.cell(cell)) else {
-                    assert!(!said.known.contains(cell) && found == 0.0, "{at}: unknown");
+                let found = f64::from(tile.probabilities[usize::from(cell)]);
+                let Some(oracle) = self.oracle.known(tile.index.cell(cell)) else {
+                    assert!(!tile.known.contains(cell) && found == 0.0, "{at}: unknown");
                     continue;
                 };
-                assert!(said.known.contains(cell), "{at}: known");
+                assert!(tile.known.contains(cell), "{at}: known");
                 let civil = phasors.civil_nanos();
                 let expected = oracle.probability(selector, civil, utc_nanos, &self.spec.periodicities);
                 let is_near = (found - expected).abs() < 2e-7;
-                assert!(is_near, "{at}: {found}, not {expected}, of cell {cell} of {:?} by {selector:?}", said.index);
+                assert!(is_near, "{at}: {found}, not {expected}, of cell {cell} of {:?} by {selector:?}", tile.index);
             }
         }
     }

@@ -79,7 +79,7 @@ impl Robot {
     }
 
     /// Looks again: the robot sees masks that differ a little from before.
-    pub(crate) fn look(&mut self, robot: usize, utc_nanos: i64, rng: &mut u64) -> Seen {
+    pub(crate) fn observe(&mut self, robot: usize, utc_nanos: i64, rng: &mut u64) -> Seen {
         if random(rng, 3) == 0 {
             self.looks_at = random(rng, 1 << TILES.len());
         }

@@ -160,7 +160,7 @@ impl World {
             16..19 => self.now_nanos - random(rng, 50 * HOUR as usize) as i64,
             _ => self.now_nanos + 301 * SECOND + random(rng, 30 * HOUR as usize) as i64,
         };
-        self.robots[robot].look(robot, utc_nanos, rng)
+        self.robots[robot].observe(robot, utc_nanos, rng)
     }
 
     /// Scans of all robots.

@@ -15,7 +15,7 @@ const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("when").required(true).multiple(true).args(["at", "times", "from", "date"]))]
-pub(crate) struct AskedTimesArgs {
+pub(crate) struct RequestedTimesArgs {
     /// Times, separated by commas; with --date also clocks alone, such as 10:00
     #[arg(long, value_name = "TIME,…", value_parser = when, value_delimiter = ',')]
     at: Option<Vec<When>>,
@@ -41,9 +41,9 @@ pub(crate) struct AskedTimesArgs {
     step: Option<i64>,
 }
 
-impl AskedTimesArgs {
+impl RequestedTimesArgs {
     /// The requested times.
-    pub(crate) async fn asked(&self, session: &Session, map: &str) -> anyhow::Result<Vec<i64>> {
+    pub(crate) async fn resolve(&self, session: &Session, map: &str) -> anyhow::Result<Vec<i64>> {
         let zone = match self.local || self.date.is_some() {
             true => Some(Zone::named(&session.client.map(map).await?.time_zone)?),
             false => None,
