@@ -1,4 +1,4 @@
-//! Lists the files of the page, so that the daemon carries them, and tells its version.
+//! Lists the files of the page, so that the daemon contains them, and sets its version.
 //!
 //! Without `client/web/dist` the daemon has no page; everything else is the same.
 

@@ -1,7 +1,7 @@
 //! The version of a program with the commit that it was built from, for the build scripts of both programs.
 //!
-//! Invariant: a build without optimisation does not know its commit, so that no commit makes it old. The variable
-//! TIDEMAP_COMMIT of the environment says the commit where there is no repository, as in a container.
+//! Invariant: a build without optimisation does not know its commit, so that no commit makes it old. The environment
+//! variable TIDEMAP_COMMIT names the commit where there is no repository, as in a container.
 
 use std::{env, path::Path, process::Command};
 

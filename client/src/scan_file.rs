@@ -11,8 +11,8 @@
 //! ```protobuf
 //! message ScanFileHeader {
 //!   double resolution_m = 1;         // edge of a cell; 0 or absent: the file has no scans of tiles
-//!   string frame_id = 2;             // frame of the map that the scans are for; empty: not said
-//!   repeated double origin_m = 3;    // lower corner of cell (0, 0, 0), three numbers; none: not said
+//!   string frame_id = 2;             // frame of the map that the scans are for; empty: not stated
+//!   repeated double origin_m = 3;    // lower corner of cell (0, 0, 0), three numbers; none: not stated
 //! }
 //! ```
 //!

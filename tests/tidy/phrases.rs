@@ -7,8 +7,24 @@ use super::{files, hold, read};
 /// Words without meaning as the name of a value. Name what the value is: a reply, a tile, a `state_kind`, a `max`.
 const EMPTY_NAMES: [&str; 3] = ["told", "of", "most"];
 
+/// A machine does not speak: it predicts, returns, reports, contains. No comment has these words, and no name.
+const SPEECH: [&str; 10] = ["say", "says", "said", "tell", "tells", "told", "speak", "speaks", "spoke", "stands for"];
+
+/// Words that begin a doc comment without a noun: "What is read" instead of "The data that is read".
+const HEADLESS: [&str; 5] = ["What ", "Those ", "That of ", "Of ", "Likewise "];
+
 /// Words for which the glossary has another: a model is trained on readings, and trained again.
 const FOREIGN_WORDS: [&str; 3] = ["fit", "fitted", "refit"];
+
+/// The words of speech in a text. Letters around a word make it another one.
+fn speech(text: &str) -> Vec<&'static str> {
+    let text = text.to_lowercase();
+    let is_whole = |at: usize, word: &str| {
+        let is_letter = |character: char| character.is_alphanumeric();
+        !text[..at].ends_with(is_letter) && !text[at + word.len()..].starts_with(is_letter)
+    };
+    SPEECH.into_iter().filter(|word| text.match_indices(word).any(|(at, _)| is_whole(at, word))).collect()
+}
 
 /// Names with such a word that others have chosen: a function of the standard library, and scikit-learn's interface.
 const GIVEN_NAMES: [(&str, &str); 2] = [("", "shrink_to_fit"), ("client/python/", "fit")];
@@ -177,7 +193,44 @@ fn comments_can_be_read_alone() {
 }
 
 #[test]
+fn a_machine_does_not_speak() {
+    let mut broken = Vec::new();
+    for path in files(".", ".rs").into_iter().chain(files(".", ".proto")) {
+        if path.ends_with("tests/tidy/phrases.rs") {
+            continue;
+        }
+        for (number, line) in lines(&read(&path)).iter().enumerate() {
+            for word in speech(line.comment.as_deref().unwrap_or_default()).into_iter().chain(speech(&line.code)) {
+                broken.push(format!("{path}:{}: {word:?}: predicts, returns, reports, contains, …", number + 1));
+            }
+        }
+    }
+    hold(&broken);
+}
+
+#[test]
+fn doc_comments_begin_with_a_noun_or_a_verb() {
+    let mut broken = Vec::new();
+    for path in files(".", ".rs").into_iter().chain(files(".", ".proto")) {
+        let text = read(&path);
+        let is_doc = |number: usize| {
+            let line = text.lines().nth(number - 1).unwrap_or_default().trim_start();
+            line.starts_with("///") || line.starts_with("//!") || path.ends_with(".proto")
+        };
+        for (number, comment) in paragraphs(&lines(&text)) {
+            let is_headless = HEADLESS.iter().any(|word| comment[0].starts_with(word));
+            if is_headless && is_doc(number) {
+                broken.push(format!("{path}:{number}: {:?}: begin with a noun or a verb", comment[0]));
+            }
+        }
+    }
+    hold(&broken);
+}
+
+#[test]
 fn the_rules_of_phrases_can_fail() {
+    assert_eq!(speech("It says so; as_told, toll, Saying"), ["says", "told"]);
+    assert_eq!(speech("x stands for y"), ["stands for"]);
     let text = "let told = 1; // of it\n/// The same\nlet a = \"of // most\n told\"; f(most);\nlet b = r#\"\"of\"#; g('\"', of);\n";
     let split = lines(text);
     let codes: Vec<&str> = split.iter().map(|line| line.code.as_str()).collect();

@@ -9,7 +9,7 @@ use super::{CRATES, code, files, hold, read, sources};
 const COLUMNS_MAX: usize = 120;
 
 /// Texts that everybody reads, and the most words that each may have.
-const WORDS_MAX: [(&str, usize); 2] = [("README.md", 1_300), ("ARCHITECTURE.md", 2_500)];
+const WORDS_MAX: [(&str, usize); 2] = [("README.md", 1_300), ("ARCHITECTURE.md", 2_600)];
 
 /// Places that may define a type of the same name.
 const PLACES_MAX: usize = 2;
@@ -57,7 +57,9 @@ fn defined_type(line: &str) -> Option<&str> {
 #[test]
 fn a_type_name_has_one_meaning() {
     let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for (folder, ..) in CRATES.iter().filter(|&&(folder, ..)| !matches!(folder, "server/layout" | "tests")) {
+    for (folder, ..) in
+        CRATES.iter().filter(|&&(folder, ..)| !matches!(folder, "server/layout" | "migrations" | "tests"))
+    {
         for path in sources(folder) {
             for name in code(&read(&path)).lines().filter_map(defined_type) {
                 places.entry(name.to_owned()).or_default().push(path.clone());

@@ -306,7 +306,7 @@ impl Default for StateShape {
     }
 }
 
-/// What started an update.
+/// The cause of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum UpdateCause {
     /// A request.

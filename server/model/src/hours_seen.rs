@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bins_tell_of_hours_nearby_and_not_of_others() {
+    fn bins_inform_about_hours_nearby_and_not_about_others() {
         let mut bins = [[0.0; HOURS]; 2];
         bins[0][12] = 30.0;
         let known = equivalent_bins(&bins);
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_are_tempered_where_few_bins_speak() {
+    fn predictions_are_drawn_to_the_mean_where_bins_are_few() {
         let mut bins = [[0.0; HOURS]; 2];
         bins[0][9] = 40.0;
         let seen = HoursSeen::of_bins(&bins);

@@ -124,15 +124,15 @@ fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead
     let mut tables = [[[0.0; 2]; 168]; 3];
     let (mut predictions, mut hours) = (0.0, 0.0);
     for day in 0..days.end {
-        let asked = day + ahead - 1;
-        if days.contains(&asked) && day > 0 {
-            let steps = asked * STEPS..(asked + 1) * STEPS;
+        let requested = day + ahead - 1;
+        if days.contains(&requested) && day > 0 {
+            let steps = requested * STEPS..(requested + 1) * STEPS;
             let samples: Vec<Sample> = steps
                 .clone()
                 .map(|step| Sample { utc_nanos: nanos(step), offset_secs: 0, value: world.values[step] })
                 .collect();
-            let said = state.predict_in_force(&periodicities, &samples);
-            for (step, said) in steps.clone().zip(&said) {
+            let predicted = state.predict_in_force(&periodicities, &samples);
+            for (step, predicted) in steps.clone().zip(&predicted) {
                 let value = world.values[step];
                 let hour = step / 6 % 168;
                 let kind = hour % 24 + if hour < 120 { 0 } else { 24 };
@@ -148,13 +148,17 @@ fn run(world: &World, models: EnabledModels, days: std::ops::Range<usize>, ahead
                     before(7 * STEPS * ahead.div_ceil(7)),
                     before(STEPS * ahead),
                 ];
-                errors.auto += (said - value).powi(2);
-                errors.baselines.iter_mut().zip(baselines).for_each(|(sum, said)| *sum += (said - value).powi(2));
+                errors.auto += (predicted - value).powi(2);
+                errors
+                    .baselines
+                    .iter_mut()
+                    .zip(baselines)
+                    .for_each(|(sum, predicted)| *sum += (predicted - value).powi(2));
                 predictions += 1.0;
             }
             for first in steps.step_by(6) {
                 let mean = |values: &[f64]| values.iter().sum::<f64>() / 6.0;
-                let error = mean(&world.values[first..first + 6]) - mean(&said[first % STEPS..first % STEPS + 6]);
+                let error = mean(&world.values[first..first + 6]) - mean(&predicted[first % STEPS..first % STEPS + 6]);
                 let middle = Moment { utc_nanos: nanos(first + 3), offset_secs: 0 };
                 let known = state.ensemble().and_then(|ensemble| ensemble.of_number());
                 let deviation = known.map_or(0.0, |known| known.variance(middle).sqrt());
@@ -291,11 +295,11 @@ fn noise_is_hardly_worse_than_its_mean() {
             for bin in &seen {
                 state.update(&periodicities, UpdateRules::default(), vec![*bin]);
             }
-            let asked: Vec<Sample> = (0..STEPS)
+            let requested: Vec<Sample> = (0..STEPS)
                 .map(|step| Sample { utc_nanos: nanos(bins * STEPS + step), offset_secs: 0, value: 0.0 })
                 .collect();
-            let said = state.predict_in_force(&periodicities, &asked);
-            own += said.iter().map(|said| 1.0 + said * said).sum::<f64>() / STEPS as f64;
+            let predicted = state.predict_in_force(&periodicities, &requested);
+            own += predicted.iter().map(|predicted| 1.0 + predicted * predicted).sum::<f64>() / STEPS as f64;
             of_mean += 1.0 + (seen.iter().map(|bin| bin.value).sum::<f64>() / bins as f64).powi(2);
         }
         assert!(own <= 1.06 * of_mean, "{bins} bins, at any hour: {at_any_hour}: {own}, mean {of_mean}");
@@ -366,11 +370,11 @@ proptest! {
             .collect();
         let samples: Vec<Sample> =
             moments.iter().map(|at| Sample { utc_nanos: at.utc_nanos, offset_secs: 0, value: 0.0 }).collect();
-        let said = |state: &StateModel| state.predict_in_force(&Periodicities::default(), &samples);
+        let predicted = |state: &StateModel| state.predict_in_force(&Periodicities::default(), &samples);
         let width = |state: &StateModel, at: Moment| {
             state.ensemble().unwrap().of_number().unwrap().variance(at).sqrt()
         };
-        for ((one, two), &at) in said(&plain).into_iter().zip(said(&other)).zip(&moments) {
+        for ((one, two), &at) in predicted(&plain).into_iter().zip(predicted(&other)).zip(&moments) {
             prop_assert!((scale * (one + shift) - two).abs() < 1e-5 * scale, "{one} {two}");
             let (one, two) = (width(&plain, at), width(&other, at));
             prop_assert!(one.is_finite() && (scale * one - two).abs() <= 1e-5 * scale * one.max(1.0), "{one} {two}");
@@ -397,8 +401,8 @@ proptest! {
             state.update(&Periodicities::default(), UpdateRules::default(), part.to_vec());
         }
         let ensemble = state.ensemble().unwrap().of_number().unwrap();
-        for said in state.predict_in_force(&Periodicities::default(), &samples) {
-            prop_assert!(said.is_finite());
+        for predicted in state.predict_in_force(&Periodicities::default(), &samples) {
+            prop_assert!(predicted.is_finite());
         }
         prop_assert!(samples.iter().all(|sample| ensemble.variance(sample.moment()).is_finite()));
     }

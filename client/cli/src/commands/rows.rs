@@ -26,7 +26,7 @@ pub(crate) struct FileArgs {
 
 type ColumnNames = [Option<String>; 3];
 
-/// What the rows of a file are.
+/// The kind of rows in a file.
 #[derive(Debug, Args)]
 pub(crate) struct RowKindArgs {
     /// Rows are changes, as of a door contact: a value holds until the next row, or until one without a value such as

@@ -323,7 +323,7 @@ fn edge_cells(EdgeName { from, to, action }: &EdgeName) -> [Cell; 3] {
     [from.as_str(), to.as_str(), action.as_ref().map_or("", StateName::as_str)].map(Cell::from)
 }
 
-/// What failures are counted by.
+/// The property by which failures are counted.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum CountedBy {
     /// The reason that the robot gave

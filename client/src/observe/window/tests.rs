@@ -94,7 +94,7 @@ fn what_the_daemon_lost_or_never_got_from_here_is_noticed() {
     assert_eq!(window.clone().welcomed(5, 78), Err(ProducerError::Differs { durable: 5 }));
     assert_eq!(window.clone().acknowledged(6), Err(ProducerError::Foreign { durable: 6, sent: 5 }));
     assert_eq!(window.welcomed(5, 77), Ok(0));
-    assert_eq!(window.acknowledged(3), Ok(()), "an old acknowledgement says nothing new");
+    assert_eq!(window.acknowledged(3), Ok(()), "an old acknowledgement changes nothing");
 }
 
 #[derive(Clone, Debug)]

@@ -114,7 +114,7 @@ fn naive_filter(rates: Rates, sensor: StateSensor, samples: &[Sample]) -> f64 {
 }
 
 #[test]
-fn a_known_sensor_is_believed_as_bayes_says_from_the_first_reading_on() {
+fn a_stated_sensor_counts_by_the_rule_of_bayes_from_the_first_reading_on() {
     let readings = [(0, 1.0), (600, 0.0), (1000, 1.0), (1300, 1.0), (9000, 0.0), (9060, 0.0), (9100, 1.0)];
     let samples = readings.map(|(secs, value)| Sample { utc_nanos: secs * SEC, offset_secs: 0, value });
     let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
@@ -166,7 +166,7 @@ fn the_next_change_of_a_regular_state_is_foreseen() {
 }
 
 #[test]
-fn far_ahead_the_prediction_answers() {
+fn at_long_lead_times_the_forecast_is_the_prediction() {
     // A chain that forgets within minutes gives no information about tomorrow: there the prediction is better.
     let dwell = |_, random: &mut SmallRng| exponential(600.0, random);
     let samples = simulate(5, 14_400, dwell, |_| 60.0, 0.0);

@@ -311,14 +311,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_ahead_have_classes() {
+    fn lead_times_have_classes() {
         assert_eq!([0, 6, 7, 27, 28, 90, 91, 363, 364, 9_999].map(class_of), {
             [None, None, Some(0), Some(0), Some(1), Some(1), Some(2), Some(2), Some(3), Some(3)]
         });
     }
 
     #[test]
-    fn a_window_does_not_speak_beyond_itself_unjudged() {
+    fn a_window_is_not_used_beyond_itself_before_it_is_scored() {
         let outlook = Outlook::new();
         let (near, far) = (outlook.weights(0), outlook.weights(2));
         let recent = FarMember::Recent as usize;
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_said_is_kept_at_the_turn_of_each_class() {
+    fn forecasts_are_stored_at_the_turn_of_each_class() {
         assert_eq!(Outlook::turns(None, LocalDay(3)), [true; 4]);
         assert_eq!(Outlook::turns(Some(LocalDay(6)), LocalDay(7)), [true, false, false, false]);
         assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(12)), [false; 4]);

@@ -69,7 +69,7 @@ fn evidence_that_makes_no_sense_is_refused_by_name() {
 }
 
 #[test]
-fn a_place_tells_which_labels_are_usual_there_once_something_was_observed() {
+fn a_place_changes_the_labels_that_are_expected_once_something_was_observed_there() {
     const KITCHEN: usize = 0;
     const BEDROOM: usize = 1;
     let mut places = LabelPlaces::new(3, 3).unwrap();

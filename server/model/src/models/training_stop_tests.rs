@@ -36,7 +36,7 @@ fn until<'a>(samples: &'a [Sample], stop: StopSignal<'a>) -> Readings<'a> {
 }
 
 #[test]
-fn a_training_that_is_told_to_stop_ends_soon_and_gives_no_model() {
+fn a_training_with_a_stop_signal_ends_soon_and_gives_no_model() {
     let samples = readings(21 * 24);
     for method in [HypertimeMethod::Em, HypertimeMethod::Km] {
         let options = HypertimeOptions { method, clusters: 3, seed: 0 };

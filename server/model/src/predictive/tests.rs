@@ -17,7 +17,7 @@ proptest! {
     }
 
     #[test]
-    fn more_bins_never_widen_what_is_not_known(value in 0.01..0.99_f64, dependence in 0.0..1.0_f64) {
+    fn more_bins_never_widen_the_uncertainty(value in 0.01..0.99_f64, dependence in 0.0..1.0_f64) {
         let learning = |bins| Predictive::new(value, bins, dependence).learning_bits();
         prop_assert!(learning(0.0) >= learning(1.0) && learning(1.0) >= learning(30.0));
         let share = |bins| Predictive::new(value, bins, dependence).variance_share();
@@ -34,7 +34,7 @@ proptest! {
 }
 
 #[test]
-fn nonsense_is_answered_by_what_is_known_without_bins() {
+fn numbers_without_sense_give_the_prediction_without_bins() {
     let nothing = Predictive::new(f64::NAN, f64::NAN, f64::NAN);
     assert_eq!((nothing.value(), nothing.bins(), nothing.entropy_bits()), (0.5, 0.0, 1.0));
     let sure = Predictive::new(1.0, 1e9, 0.5);

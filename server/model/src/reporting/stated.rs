@@ -1,4 +1,4 @@
-//! What a user states about how a state is reported.
+//! The statement of a user about how a state is reported.
 //!
 //! Invariant: a statement, completed with the default durations, is a reporting that a state can have.
 
@@ -101,7 +101,7 @@ impl StatedReporting {
 
     /// Whether the statement is true for a state that is reported like this.
     pub fn fits(self, found: Reporting) -> bool {
-        let fits = |said: Option<u32>, found: u32| said.is_none_or(|said| said == found);
+        let fits = |stated: Option<u32>, found: u32| stated.is_none_or(|stated| stated == found);
         self.kind == found.kind()
             && found
                 .hold()

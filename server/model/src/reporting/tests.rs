@@ -24,12 +24,12 @@ fn read(reporting: Reporting, given: &[(i64, Option<f64>)], horizon_secs: i64) -
 
 #[test]
 fn a_stated_hold_is_never_lengthened() {
-    let said = |max, step| StatedReporting::new(RowKind::Changes, max, step);
-    let found = |max, step| said(max, step).map(StatedReporting::for_new);
+    let stated = |max, step| StatedReporting::new(RowKind::Changes, max, step);
+    let found = |max, step| stated(max, step).map(StatedReporting::for_new);
     assert_eq!(found(None, None), Ok(Reporting::Changes(Hold::OF_CHANGES)));
     // Values that hold for less than the default step are learned as often as they hold.
     assert_eq!(found(Some(60), None), Ok(changes(60, 60)));
-    assert!(said(Some(60), None).is_ok_and(|said| said.fits(said.for_new())));
+    assert!(stated(Some(60), None).is_ok_and(|stated| stated.fits(stated.for_new())));
     assert_eq!(found(Some(60), Some(300)), Err(InvalidHold::Max { max_secs: 60, step_secs: 300 }.into()));
     assert_eq!(found(Some(0), None), Err(InvalidHold::Max { max_secs: 0, step_secs: 1 }.into()));
 }

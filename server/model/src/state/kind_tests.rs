@@ -62,7 +62,7 @@ fn a_speed_is_learned_in_its_own_unit_and_beyond_zero_and_one() {
 }
 
 #[test]
-fn nothing_learned_is_answered_as_nothing() {
+fn a_state_of_numbers_with_no_learned_data_predicts_0() {
     for kind in [StateKind::Continuous, StateKind::Count] {
         let model = StateModel::of_kind(kind);
         assert_eq!((model.spectral().mean(), model.kind(), model.usual_change()), (0.0, kind, 1.0));

@@ -46,7 +46,7 @@ pub(crate) trait StoredTable {
 }
 
 /// A [`StoredTable`] as a value.
-struct Table {
+struct SiteTable {
     number: u32,
     count: fn(&Site) -> usize,
     rows: fn(&Site) -> Box<dyn Iterator<Item = Vec<u8>> + '_>,
@@ -55,9 +55,9 @@ struct Table {
     decode_edit: fn(&[u8]) -> Result<SiteEdit, Invalid>,
 }
 
-impl Table {
-    const fn of<T: StoredTable + 'static>() -> Table {
-        Table {
+impl SiteTable {
+    const fn of<T: StoredTable + 'static>() -> SiteTable {
+        SiteTable {
             number: T::NUMBER,
             count: T::count,
             rows: |site| Box::new(T::rows(site).map(|row| row.encode_to_vec())),
@@ -74,15 +74,15 @@ impl Table {
 
 /// All tables, ascending by number. Tables whose rows seldom change come first, because an added row moves the rows
 /// after it.
-const TABLES: [Table; 8] = [
-    Table::of::<charger::Charger>(),
-    Table::of::<locations::Locations>(),
-    Table::of::<no_go::NoGo>(),
-    Table::of::<reachability::ReachedCells>(),
-    Table::of::<topology::TopologicalMap>(),
-    Table::of::<failures::FailedTraversals>(),
-    Table::of::<tasks::Tasks>(),
-    Table::of::<landmarks::LandmarkPlaces>(),
+const TABLES: [SiteTable; 8] = [
+    SiteTable::of::<charger::Charger>(),
+    SiteTable::of::<locations::Locations>(),
+    SiteTable::of::<no_go::NoGo>(),
+    SiteTable::of::<reachability::ReachedCells>(),
+    SiteTable::of::<topology::TopologicalMap>(),
+    SiteTable::of::<failures::FailedTraversals>(),
+    SiteTable::of::<tasks::Tasks>(),
+    SiteTable::of::<landmarks::LandmarkPlaces>(),
 ];
 
 /// The number of rows that [`rows`] returns.
@@ -110,7 +110,7 @@ pub(crate) fn site(rows: &[layout::TableRow], states: usize) -> Result<Site, Str
 
 /// The record of an edit.
 pub(super) fn encode_edit(edit: &SiteEdit) -> Result<layout::SiteEdit, Invalid> {
-    let encoded = |table: &Table| Some(layout::SiteEdit { table: table.number, edit: (table.encode_edit)(edit)? });
+    let encoded = |table: &SiteTable| Some(layout::SiteEdit { table: table.number, edit: (table.encode_edit)(edit)? });
     TABLES.iter().find_map(encoded).ok_or("an edit changes no table that is stored")
 }
 

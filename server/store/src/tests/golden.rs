@@ -1,9 +1,9 @@
-//! The bytes of format 1: a data directory with four maps, in `golden/format-1`. From the first release on, a difference
-//! here means that existing data directories cannot be read any more: do not change the files in `golden/` then; make a
-//! new format.
+//! The bytes of format 1: a data directory with four maps, in `golden/format-1`. From the first release on, a
+//! difference here means that existing data directories cannot be read any more: do not change the files in `golden/`
+//! then; make a new format.
 //!
-//! The maps have records of every kind and every table of a site, a grid, states with all that is known apart from their
-//! spectrum, and models of every kind. From the last map a state was erased, and a loss was accepted.
+//! The maps have records of every kind and every table of a site, a grid, states with all data that is learned besides
+//! the spectrum, and models of every kind. From the last map a state was erased, and a loss was accepted.
 
 use std::path::{Path, PathBuf};
 

@@ -63,7 +63,7 @@ pub(crate) struct ExportArgs {
     pub(super) recovery: f64,
 }
 
-/// What a recording has.
+/// The contents that a recording may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Content {
     /// The grid for ROS 2: nav_msgs/OccupancyGrid on /map

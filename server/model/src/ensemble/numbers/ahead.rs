@@ -193,14 +193,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_ahead_have_classes() {
+    fn lead_times_have_classes() {
         let found = [0, 1, 2, 6, 7, 27, 28, 91, 364, 9_999].map(class_of);
         let expected = [None, None, Some(0), Some(0), Some(1), Some(1), Some(2), Some(3), Some(4), Some(4)];
         assert_eq!(found, expected);
     }
 
     #[test]
-    fn a_table_that_forgets_does_not_speak_far_ahead_unjudged() {
+    fn a_table_that_forgets_is_not_used_at_long_lead_times_before_it_is_scored() {
         let ahead = FarStacks::new();
         let [near, far] = [0, CLASSES - 1].map(|class| ahead.weights(class));
         assert_eq!(near, WEIGHTS);

@@ -102,7 +102,7 @@ fn a_handful_of_observations_does_not_ring() {
 }
 
 #[test]
-fn what_says_nothing_changes_nothing() {
+fn a_day_that_is_too_early_or_without_a_valid_error_changes_nothing() {
     let mut alarm = ChangeAlarm::default();
     rings(&mut alarm, 0..20, |_| 0.1);
     let before = alarm;

@@ -28,7 +28,7 @@ fn nothing_known_is_everywhere_alike() {
 }
 
 #[test]
-fn a_look_into_one_place_tells_of_the_others() {
+fn an_observation_of_one_place_informs_about_the_others() {
     let mut presence = model(4, 24);
     presence.advance(0);
     presence.observe(1, false);

@@ -86,7 +86,7 @@ fn components_pay_where_the_state_has_a_rhythm() {
 }
 
 #[test]
-fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_from_it() {
+fn the_error_names_the_usual_interval_and_the_first_reading_that_departs_from_it() {
     let samples = regular_samples(&office(), MINUTE_NANOS);
     let train_error = |samples: &[Sample]| UniformSpectral::train(Readings::new(samples), 2).unwrap_err();
     let first_secs = WEEK_NANOS as f64 / 1e9;

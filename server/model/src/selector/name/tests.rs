@@ -47,7 +47,7 @@ fn models_are_named_as_on_the_command_line() {
 }
 
 #[test]
-fn what_is_wrong_with_a_name_is_told() {
+fn the_error_states_what_is_wrong_with_a_name() {
     let parsed = |text: &str| text.parse::<ModelSelector>();
     assert_eq!(parsed("fremen"), Err(InvalidModel::Unknown("fremen".to_owned())));
     assert_eq!(parsed(""), Err(InvalidModel::Unknown(String::new())));
