@@ -71,7 +71,7 @@ web-check: web
 		{ echo "client/web/dist is not what client/web builds to: run make web, and commit client/web/dist" >&2; exit 1; }
 
 ## demo: a simulated office, weeks of robots' observations, and what is learned from them
-# Without the allocator and the traces, which it does not need.
+# Without the allocator, clusters and traces, which it does not need.
 demo:
 	@$(SETUP)
 	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
@@ -80,7 +80,7 @@ demo:
 ## cluster-demo: three daemons hold one map; the one that writes it is killed while robots send, and nothing is lost
 cluster-demo:
 	@$(SETUP) cluster
-	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
+	@$(ENV); cargo build --profile demo --no-default-features --features tidemapd/cluster --locked -p tidemapd -p tidemap
 	@$(ENV); python3 deploy/cluster_demo.py $${CARGO_TARGET_DIR:-target}/demo
 
 ## test: all tests

@@ -14,6 +14,7 @@ pub mod lease;
 pub mod member;
 pub mod membership;
 pub mod message;
+#[cfg_attr(not(feature = "nats"), path = "no_nats.rs")]
 pub mod nats;
 #[cfg(any(test, feature = "testing"))]
 pub mod nats_process;

@@ -11,6 +11,7 @@
 
 mod calls;
 mod check;
+mod check_error;
 mod follow;
 mod keys;
 mod settings;
@@ -37,13 +38,17 @@ use self::{
     follow::FollowedStreams,
 };
 pub use self::{
-    check::{NatsCheckError, VERSION_LEAST, check},
+    check::check,
+    check_error::{NatsCheckError, VERSION_LEAST},
     settings::{NatsCredentials, NatsSettings, NatsTls},
 };
 use crate::engine::{
     AppendIfError, Bucket, Engine, EngineError, EngineServer, KeyEntry, MESSAGE_BYTES_MAX, Message, SetError,
     StreamEnds, StreamHealth,
 };
+
+/// Whether this build can connect to NATS JetStream.
+pub const IS_BUILT: bool = true;
 
 /// Room for headers above the content of a message.
 const HEADER_BYTES_MAX: usize = 1024;

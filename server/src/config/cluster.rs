@@ -4,9 +4,10 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use http::uri::Scheme;
 use serde::{Deserialize, Serialize};
+use tidemap_cluster::nats;
 
 /// The section `[cluster]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -236,6 +237,11 @@ impl ClusterSettings {
     /// # Errors
     /// The problem, with the key.
     pub(crate) fn check(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
+        ensure!(
+            nats::IS_BUILT,
+            "the config file has a section [cluster], and this tidemapd was built without clusters: build it with \
+             --features cluster"
+        );
         check_name("name", &self.name)?;
         check_name("member", &self.member)?;
         if self.servers.is_empty() {

@@ -11,52 +11,14 @@ use serde::Deserialize;
 use tokio::time::{Instant, timeout_at};
 use tokio_stream::StreamExt;
 
-use super::{HEADER_BYTES_MAX, NatsEngine, calls::NatsCalls};
+use super::{HEADER_BYTES_MAX, NatsCheckError, NatsEngine, VERSION_LEAST, calls::NatsCalls};
 use crate::engine::{Engine, EngineError, EngineServer, MESSAGE_BYTES_MAX};
-
-/// The oldest version of the server that is known to keep the order of appends.
-pub const VERSION_LEAST: (u64, u64, u64) = (2, 15, 1);
 
 /// Every server replies to this subject, if the account has the permission.
 const VARZ: &str = "$SYS.REQ.SERVER.PING.VARZ";
 
 /// Time limit for the report of the next server, after one has replied.
 const NEXT_PATIENCE: Duration = Duration::from_millis(300);
-
-/// The reason why the engine cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NatsCheckError {
-    /// A server is too old.
-    #[error(
-        "nats-server {server} has version {version}; {}.{}.{} is the oldest that may be used: older ones can let two \
-         writers append at one position", VERSION_LEAST.0, VERSION_LEAST.1, VERSION_LEAST.2
-    )]
-    Version {
-        /// The server's name.
-        server: String,
-        /// The server's version.
-        version: String,
-    },
-    /// A server acknowledges before it has made a message durable.
-    #[error(
-        "nats-server {server} acknowledges before it writes to the disk: set `sync_interval: always` in `jetstream`"
-    )]
-    NotSynced {
-        /// The server's name.
-        server: String,
-    },
-    /// A server does not accept messages as large as tidemap's.
-    #[error("nats-server {server} accepts messages of at most {bytes} bytes: set `max_payload: 2MB`")]
-    Payload {
-        /// The server's name.
-        server: String,
-        /// The server's limit.
-        bytes: usize,
-    },
-    /// The servers did not report their properties.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-}
 
 #[derive(Deserialize)]
 struct Varz {
