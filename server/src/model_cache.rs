@@ -13,6 +13,7 @@ use std::{
     },
 };
 
+use tidemap_answer::{CachedModel, FlowRequest};
 use tidemap_map::{history::Subject, ids::StateId};
 use tidemap_model::selector::ModelKind;
 use tidemap_store::MapId;
@@ -20,20 +21,8 @@ use tokio::sync::OnceCell;
 
 use crate::task::NoResult;
 
-mod flows;
-mod places;
-mod positions;
-mod trained;
-mod unavailable;
-
 #[cfg(test)]
 mod tests;
-
-pub(crate) use flows::{FlowKey, train_flow};
-pub(crate) use places::PlaceModel;
-pub(crate) use positions::PositionModel;
-pub(crate) use trained::CachedModel;
-pub(crate) use unavailable::{ModelSubject, ModelUnavailable};
 
 /// Identifies a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -49,6 +38,33 @@ pub(crate) struct ModelKey {
     pub kind: ModelKind,
     /// For models of places: the first axis of the vector that contains the position of each observation.
     pub place: Option<StateId>,
+}
+
+/// Identifies a flow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct FlowKey {
+    pub map: MapId,
+    /// The number of the map's handle: an erasure gives states other ids.
+    pub handle: u64,
+    /// The flow has learned the updates up to this one.
+    pub generation: u64,
+    /// The first axes of the positions and of the motion.
+    pub states: [StateId; 2],
+    /// The bits of the corners and of the edge length, if they are given.
+    raster: [u64; 5],
+    directions: usize,
+}
+
+impl FlowKey {
+    /// The key of a flow of two vectors.
+    pub(crate) fn new(map: MapId, handle: u64, generation: u64, states: [StateId; 2], request: &FlowRequest) -> Self {
+        let mut raster = [f64::NAN.to_bits(); 5];
+        let corners = request.region_m.iter().flat_map(|corners| corners.as_flattened());
+        // Adding 0 makes -0 a 0.
+        raster.iter_mut().zip(corners).for_each(|(bits, coordinate)| *bits = (coordinate + 0.0).to_bits());
+        raster[4] = request.edge_m.map_or(raster[4], f64::to_bits);
+        Self { map, handle, generation, states, raster, directions: request.directions }
+    }
 }
 
 /// A slot for a model, with the number of requests that wait for it.

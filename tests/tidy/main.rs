@@ -15,7 +15,7 @@ use std::{
 };
 
 /// Folder, package, and the workspace's packages that it may depend on.
-const CRATES: [(&str, &str, &[&str]); 21] = [
+const CRATES: [(&str, &str, &[&str]); 22] = [
     ("server/layout", "tidemap-layout", &[]),
     ("migrations", "tidemap-migrations", &["tidemap-layout"]),
     ("server/model", "tidemap-model", &[]),
@@ -23,6 +23,7 @@ const CRATES: [(&str, &str, &[&str]); 21] = [
     ("server/map", "tidemap-map", &["tidemap-grid", "tidemap-model"]),
     ("server/picture", "tidemap-picture", &[]),
     ("server/plan", "tidemap-plan", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
+    ("server/answer", "tidemap-answer", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
     (
         "server/store",
         "tidemap-store",
@@ -34,6 +35,7 @@ const CRATES: [(&str, &str, &[&str]); 21] = [
         "server",
         "tidemapd",
         &[
+            "tidemap-answer",
             "tidemap-cluster",
             "tidemap-grid",
             "tidemap-map",
@@ -106,7 +108,8 @@ const APART: [(&str, &str, &[&str]); 2] = [
 ];
 
 /// Crates that do no I/O, read no clock and draw no hidden randomness.
-const PURE: [&str; 8] = [
+const PURE: [&str; 9] = [
+    "server/answer",
     "server/model",
     "server/grid",
     "server/map",

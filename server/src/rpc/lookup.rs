@@ -4,6 +4,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use tidemap_answer::{KnownCell, StateOrCell};
 use tidemap_grid::{index::CellIndex, view::CellDescription};
 use tidemap_map::{
     event::StateKind,
@@ -22,7 +23,6 @@ use crate::{
         handle::{MapHandle, OpenProgress},
         protocol::EditSiteError,
     },
-    state_or_cell::{KnownCell, StateOrCell},
     telemetry::traces::Span,
 };
 

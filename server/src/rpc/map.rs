@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::{
     ids::StateId,
     no_go::NoGoEdit,
@@ -32,7 +33,6 @@ use crate::{
     },
     rpc::lookup::{check_on_grid, check_scope, find_all, find_map, opened},
     shares::client::Client,
-    state_or_cell::StateOrCell,
 };
 
 #[derive(Debug)]

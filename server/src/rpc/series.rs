@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::{CachedModel, ModelSubject, ModelUnavailable, StateOrCell};
 use tidemap_map::{ids::StateId, predict::PreparedTimes, view::MapView};
 use tidemap_model::{
     EarlyStop, StopSignal,
@@ -17,11 +18,7 @@ use super::{
     status::RpcError,
     training::{LearnedState, ModelTrainer},
 };
-use crate::{
-    ingest::handle::MapHandle,
-    model_cache::{CachedModel, ModelSubject, ModelUnavailable},
-    state_or_cell::StateOrCell,
-};
+use crate::ingest::handle::MapHandle;
 
 /// Number of times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;

@@ -4,6 +4,7 @@
 
 use std::{collections::HashMap, time::Duration};
 
+use tidemap_answer::{ModelSubject, ModelUnavailable};
 use tidemap_grid::{sensors::InvalidSensor, tile::TileUnavailable};
 use tidemap_map::{event::StateShape, no_go::NoGoError, site::InvalidEdit, task::TaskError};
 use tidemap_model::EarlyStop;
@@ -23,7 +24,6 @@ use crate::{
         protocol::{AddStateError, EditSiteError, ForgetError, HelloError},
         role::NotWriter,
     },
-    model_cache::{ModelSubject, ModelUnavailable},
     shares::ShareFull,
     task::NoResult,
 };

@@ -26,6 +26,7 @@
 
 use std::{ops::Range, sync::Arc};
 
+use tidemap_answer::{CachedModel, ModelSubject, ModelUnavailable, PlaceModel, PositionModel, StateOrCell};
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
     history::{Reading, Subject},
@@ -40,17 +41,13 @@ use super::readings::{ReadingsQuery, gather, not_replaced, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{
-        CachedModel, FlowKey, ModelCache, ModelKey, ModelSubject, ModelUnavailable, PlaceModel, PositionModel,
-        TrainingStop,
-    },
+    model_cache::{FlowKey, ModelCache, ModelKey, TrainingStop},
     rpc::{
         lookup::check_limit,
         permits::{Permits, processors, run_blocking, run_while_awaited},
         status::RpcError,
     },
     shares::{Share, ShareFull, Shares, Taken, client::Client},
-    state_or_cell::StateOrCell,
 };
 
 mod flows;

@@ -12,7 +12,7 @@ use tokio::time::{Instant, timeout_at};
 use tokio_stream::StreamExt;
 
 use super::{HEADER_BYTES_MAX, NatsCheckError, NatsEngine, VERSION_LEAST, calls::NatsCalls};
-use crate::engine::{Engine, EngineError, EngineServer, MESSAGE_BYTES_MAX};
+use crate::engine::{Engine, EngineServer, MESSAGE_BYTES_MAX};
 
 /// Every server replies to this subject, if the account has the permission.
 const VARZ: &str = "$SYS.REQ.SERVER.PING.VARZ";

@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::{name::StateName, view::MapView};
 use tidemap_model::{
     StopSignal,
@@ -19,15 +20,12 @@ use tidemap_proto::{
 };
 
 use super::{Explorations, locations::find_members};
-use crate::{
-    rpc::{
-        lookup::{check_kind, check_limit, find_all, find_map},
-        permits::run_blocking,
-        replies::{Replies, compute_replies, stream_replies},
-        series::predict_series,
-        status::{PlanError, RpcError},
-    },
-    state_or_cell::StateOrCell,
+use crate::rpc::{
+    lookup::{check_kind, check_limit, find_all, find_map},
+    permits::run_blocking,
+    replies::{Replies, compute_replies, stream_replies},
+    series::predict_series,
+    status::{PlanError, RpcError},
 };
 
 /// Maximum number of targets of one request.

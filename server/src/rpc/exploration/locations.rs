@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::{
     event::StateKind,
     name::StateName,
@@ -11,12 +12,9 @@ use tidemap_map::{
     view::{MapView, StateInfo},
 };
 
-use crate::{
-    rpc::{
-        lookup::{check_kind, check_limit, find_all, find_location, find_state},
-        status::{Problem, RpcError},
-    },
-    state_or_cell::StateOrCell,
+use crate::rpc::{
+    lookup::{check_kind, check_limit, find_all, find_location, find_state},
+    status::{Problem, RpcError},
 };
 
 /// Maximum number of locations of one request.

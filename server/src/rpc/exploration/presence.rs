@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::view::MapView;
 use tidemap_model::StopSignal;
 use tidemap_plan::presence::{READINGS_MAX_NANOS, Sighting, presence_series};
@@ -17,7 +18,6 @@ use crate::{
         permits::run_while_awaited,
         status::{PlanError, Problem, RpcError},
     },
-    state_or_cell::StateOrCell,
 };
 
 /// The probability that the person or object is at each location, at each of the ascending times.

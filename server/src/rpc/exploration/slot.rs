@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::view::MapView;
 use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_plan::{
@@ -29,7 +30,6 @@ use crate::{
         series::predict_series,
         status::{Misfit, PlanError, Problem, RpcError},
     },
-    state_or_cell::StateOrCell,
 };
 
 pub(super) async fn plan_slot(

@@ -4,15 +4,13 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::StateOrCell;
 use tidemap_map::view::MapView;
 use tidemap_model::{InformationMeasure, StopSignal};
 use tidemap_plan::information::LookWorth;
 
 use super::Explorations;
-use crate::{
-    rpc::{permits::run_while_awaited, status::RpcError},
-    state_or_cell::StateOrCell,
-};
+use crate::rpc::{permits::run_while_awaited, status::RpcError};
 
 /// The worth of an observation of each of the states or cells at each of the times (nanoseconds UTC). `rows` has the
 /// probabilities of the states or cells.

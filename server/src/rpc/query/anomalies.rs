@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::{CachedModel, StateOrCell};
 use tidemap_map::{
     anomaly::{Anomaly, Confidence, anomalies},
     history::Reading,
@@ -23,15 +24,11 @@ use super::{
     Queries,
     reconstruct::{PastQuery, past},
 };
-use crate::{
-    model_cache::CachedModel,
-    rpc::{
-        lookup::{check_limit, find_all, find_map},
-        replies::{Replies, compute_replies},
-        status::RpcError,
-        training::LearnedState,
-    },
-    state_or_cell::StateOrCell,
+use crate::rpc::{
+    lookup::{check_limit, find_all, find_map},
+    replies::{Replies, compute_replies},
+    status::RpcError,
+    training::LearnedState,
 };
 
 mod labels;

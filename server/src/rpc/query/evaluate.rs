@@ -8,6 +8,7 @@
 
 use std::{borrow::Cow, collections::HashMap, sync::Arc};
 
+use tidemap_answer::{AnswerSource, Compared, Evaluator, ModelUnavailable, OtherPart, StateOrCell};
 use tidemap_map::{
     event::{StateKind, StateShape},
     history::Subject,
@@ -26,16 +27,13 @@ use tonic::{Status, Streaming};
 
 use super::{Queries, STATES_MAX};
 use crate::{
-    evaluation::{AnswerSource, Compared, Evaluator, OtherPart},
     ingest::handle::MapHandle,
-    model_cache::ModelUnavailable,
     rpc::{
         lookup::{check_limit, find_all, find_map},
         permits::run_while_awaited,
         status::{Misfit, Problem, RpcError},
         training::LearnedState,
     },
-    state_or_cell::StateOrCell,
 };
 
 /// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.

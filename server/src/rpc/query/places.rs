@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::PlaceModel;
 use tidemap_map::{event::StateShape, ids::StateId};
 use tidemap_model::{
     ANGLE_AXES, StopSignal, circular_deviation_rad, direction_rad, models::Moment, special::normal_reach,
@@ -15,14 +16,11 @@ use tidemap_proto::{
 };
 
 use super::{Queries, positions::find_vector};
-use crate::{
-    model_cache::PlaceModel,
-    rpc::{
-        lookup::{check_limit, find_all, find_map},
-        permits::run_while_awaited,
-        status::{Problem, RpcError},
-        training::LearnedState,
-    },
+use crate::rpc::{
+    lookup::{check_limit, find_all, find_map},
+    permits::run_while_awaited,
+    status::{Problem, RpcError},
+    training::LearnedState,
 };
 
 /// Maximum number of predictions of a request.

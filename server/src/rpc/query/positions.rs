@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::PositionModel;
 use tidemap_map::{
     event::{Dimensions, StateShape},
     ids::StateId,
@@ -20,15 +21,12 @@ use tidemap_proto::{
 };
 
 use super::Queries;
-use crate::{
-    model_cache::PositionModel,
-    rpc::{
-        lookup::{check_limit, find_map, find_state},
-        permits::run_blocking,
-        replies::{Replies, ReplySink, stream_replies},
-        status::{Misfit, Problem, RpcError},
-        training::LearnedState,
-    },
+use crate::rpc::{
+    lookup::{check_limit, find_map, find_state},
+    permits::run_blocking,
+    replies::{Replies, ReplySink, stream_replies},
+    status::{Misfit, Problem, RpcError},
+    training::LearnedState,
 };
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 
 use std::{ops::Range, sync::Arc};
 
+use tidemap_answer::{CachedModel, StateOrCell};
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{event::StateShape, predict::PreparedTimes, view::MapView};
 use tidemap_model::{
@@ -25,7 +26,6 @@ use tidemap_proto::{
 use super::{Queries, STATES_MAX};
 use crate::{
     ingest::handle::MapHandle,
-    model_cache::CachedModel,
     rpc::{
         lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
@@ -34,7 +34,6 @@ use crate::{
         status::RpcError,
         training::LearnedState,
     },
-    state_or_cell::StateOrCell,
 };
 
 /// Number of times whose phasors are held at once: some 10 MB at 168 periodicities.

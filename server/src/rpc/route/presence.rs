@@ -2,6 +2,7 @@
 //!
 //! Invariant: persons, objects and nodes are independent; a share is relative to the sum over all nodes.
 
+use tidemap_answer::StateOrCell;
 use tidemap_plan::search::{anyone, next_above};
 use tidemap_proto::{
     convert::{
@@ -12,13 +13,10 @@ use tidemap_proto::{
 };
 
 use super::{Routes, places::NodeStates};
-use crate::{
-    rpc::{
-        lookup::{check_kind, check_limit, find_all, find_map},
-        series::predict_series,
-        status::{RouteError, RpcError},
-    },
-    state_or_cell::StateOrCell,
+use crate::rpc::{
+    lookup::{check_kind, check_limit, find_all, find_map},
+    series::predict_series,
+    status::{RouteError, RpcError},
 };
 
 /// Times whose probabilities are held at once.

@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::{FlowRequest, ModelSubject, ModelUnavailable, train_flow};
 use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
 use tidemap_model::{Sample, StopSignal, models::FlowModel, selector::ModelKind};
 use tidemap_proto::convert::query::FlowSource;
@@ -11,7 +12,7 @@ use tidemap_proto::convert::query::FlowSource;
 use super::{LearnedState, ModelTrainer};
 use crate::{
     ingest::handle::MapHandle,
-    model_cache::{FlowKey, ModelSubject, ModelUnavailable, TrainingStop, train_flow},
+    model_cache::{FlowKey, TrainingStop},
     rpc::{
         lookup::find_state,
         permits::run_blocking,
@@ -42,16 +43,19 @@ impl ModelTrainer {
                 return Err(flow_error(axis.unavailable(ModelKind::default(), ModelUnavailable::Unlearned)));
             }
         }
-        let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], source);
-        let (this, requested) = (Arc::clone(self), source.clone());
-        let train = move |stop| async move { this.train_flow(&axes, requested, stop).await };
+        let plane_of = |corner: &[f64]| [0, 1].map(|axis| corner.get(axis).copied().unwrap_or_default());
+        let region_m = source.region.as_ref().map(|region| [plane_of(&region.low_m), plane_of(&region.high_m)]);
+        let request = FlowRequest { region_m, edge_m: source.edge_m, directions: source.directions };
+        let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], &request);
+        let this = Arc::clone(self);
+        let train = move |stop| async move { this.train_flow(&axes, request, stop).await };
         self.flows.train_once(key, train).await.map_err(flow_error)
     }
 
     async fn train_flow(
         &self,
         axes: &[Arc<LearnedState>; 4],
-        source: FlowSource,
+        request: FlowRequest,
         stop: Arc<TrainingStop>,
     ) -> Result<FlowModel, RpcError> {
         let permit = self.slow_permits.take().await?;
@@ -63,7 +67,7 @@ impl ModelTrainer {
         let train = move || {
             let is_set = || stop.is_set();
             let [x, y, along, across] = [0, 1, 2, 3].map(|axis: usize| &*samples[axis]);
-            train_flow(&source, [x, y], [along, across], &handle.spec, StopSignal::new(&is_set))
+            train_flow(&request, [x, y], [along, across], &handle.spec, StopSignal::new(&is_set))
         };
         let trained = run_blocking(permit, train).await?;
         trained.map_err(|reason| axes[2].unavailable(ModelKind::default(), reason))

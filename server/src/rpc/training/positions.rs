@@ -4,12 +4,13 @@
 
 use std::sync::Arc;
 
+use tidemap_answer::{ModelUnavailable, PlaceModel, PositionModel};
 use tidemap_map::ids::StateId;
 use tidemap_model::{Sample, StopSignal, models::CannotTrain, selector::ModelKind};
 
 use super::{LearnedState, ModelTrainer};
 use crate::{
-    model_cache::{ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
+    model_cache::TrainingStop,
     rpc::{permits::run_blocking, status::RpcError},
 };
 

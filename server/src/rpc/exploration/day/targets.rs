@@ -4,6 +4,7 @@
 
 use std::{ops::ControlFlow, sync::Arc};
 
+use tidemap_answer::StateOrCell;
 use tidemap_model::StopSignal;
 use tidemap_plan::{
     day::DayError,
@@ -24,14 +25,11 @@ use super::{
     },
     Day,
 };
-use crate::{
-    rpc::{
-        lookup::check_limit,
-        permits::run_while_awaited,
-        series::predict_series,
-        status::{PlanError, RpcError},
-    },
-    state_or_cell::StateOrCell,
+use crate::rpc::{
+    lookup::check_limit,
+    permits::run_while_awaited,
+    series::predict_series,
+    status::{PlanError, RpcError},
 };
 
 impl Day<'_> {

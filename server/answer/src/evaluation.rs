@@ -16,17 +16,14 @@ use tidemap_model::{
     selector::{ModelKind, ModelSelector},
 };
 
-use crate::{
-    model_cache::{CachedModel, ModelUnavailable},
-    state_or_cell::StateOrCell,
-};
+use crate::{CachedModel, ModelUnavailable, StateOrCell};
 
 /// Number of times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
 
 /// The source of the predictions of a state, where a model must be trained on its readings.
 #[derive(Clone, Debug)]
-pub(crate) enum AnswerSource {
+pub enum AnswerSource {
     /// The trained model.
     Trained(Arc<CachedModel>),
     /// There is no such model, for this reason.
@@ -35,7 +32,7 @@ pub(crate) enum AnswerSource {
 
 /// Sums of errors per state and model.
 #[derive(Debug)]
-pub(crate) struct Evaluator {
+pub struct Evaluator {
     view: Arc<MapView>,
     /// One entry per row of a state: a model without an order of its own covers all orders.
     rows: Vec<ModelSelector>,
@@ -47,9 +44,12 @@ pub(crate) struct Evaluator {
 
 /// The kind of observations: those of a state, of an angle by cosine and sine, or of a categorical state by all labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Compared {
+pub enum Compared {
+    /// A state of one value.
     Alone,
+    /// An angle, by its cosine and sine.
     Angle,
+    /// A categorical state, by all its labels.
     Labels,
 }
 
@@ -66,16 +66,16 @@ struct ErrorSums {
 /// Another part of a state with its prediction sources: the sine of an angle, whose state is its cosine, or a label
 /// after the first.
 #[derive(Clone, Debug)]
-pub(crate) struct OtherPart {
+pub struct OtherPart {
     /// The state.
-    pub(crate) state: StateId,
+    pub state: StateId,
     /// One source for each of [`Evaluator::kinds_to_train`].
-    pub(crate) trained: Vec<AnswerSource>,
+    pub trained: Vec<AnswerSource>,
 }
 
 impl Evaluator {
     /// Compares these models. A spectral model without an order means the orders 0..=`max_order`.
-    pub(crate) fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
+    pub fn new(view: Arc<MapView>, models: Vec<ModelSelector>, max_order: usize) -> Self {
         let mut rows = Vec::new();
         for model in models {
             if model.kind == ModelKind::Spectral && model.order.is_none() {
@@ -88,18 +88,18 @@ impl Evaluator {
     }
 
     /// Number of sums that are kept for each state.
-    pub(crate) fn sums_per_state(&self) -> usize {
+    pub fn sums_per_state(&self) -> usize {
         self.rows.len()
     }
 
     /// The model kind of each row that is trained on the readings of a state, in order.
-    pub(crate) fn kinds_to_train(&self) -> impl Iterator<Item = ModelKind> + use<> {
+    pub fn kinds_to_train(&self) -> impl Iterator<Item = ModelKind> + use<> {
         let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
         kinds.into_iter()
     }
 
     /// A prediction source without a model, for this reason.
-    pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
+    pub fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
         AnswerSource::Nothing(known.unwrap_or_else(|| {
             let reason: Arc<str> = reason.into();
@@ -109,7 +109,7 @@ impl Evaluator {
     }
 
     /// Begins the sums of a state, so that rows have the order of the beginnings. No effect if the state is known.
-    pub(crate) fn begin(&mut self, target: &StateOrCell, compared: Compared) {
+    pub fn begin(&mut self, target: &StateOrCell, compared: Compared) {
         let subject = target.subject();
         if let Entry::Vacant(entry) = self.sums.entry(subject) {
             let rows = self.rows.len();
@@ -129,7 +129,7 @@ impl Evaluator {
     ///
     /// # Errors
     /// The work received the signal to stop; the sums must then not be used.
-    pub(crate) fn add(
+    pub fn add(
         &mut self,
         subject: Subject,
         samples: &[Sample],
@@ -178,12 +178,12 @@ impl Evaluator {
     }
 
     /// Whether the observations of a state are labels.
-    pub(crate) fn has_labels(&self, target: &StateOrCell) -> bool {
+    pub fn has_labels(&self, target: &StateOrCell) -> bool {
         self.sums.get(&target.subject()).is_some_and(|sums| sums.compared == Compared::Labels)
     }
 
     /// The rows: name of the state, model with its order, sums.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = (StateOrCell, Cow<'_, str>, ModelSelector, &Evaluation)> {
+    pub fn rows(&self) -> impl Iterator<Item = (StateOrCell, Cow<'_, str>, ModelSelector, &Evaluation)> {
         self.all().filter(|(.., missing, _)| missing.is_none()).map(|(target, row, _, errors)| {
             let order = Some(target.order(&self.view, *row)).filter(|_| row.kind.has_order());
             (target.clone(), self.name(target), ModelSelector { order, ..*row }, errors)
@@ -191,7 +191,7 @@ impl Evaluator {
     }
 
     /// The missing rows, by model: model, reason, and names of the states.
-    pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> {
+    pub fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> = Vec::new();
         let mut places = HashMap::new();
         for (target, row, missing, _) in self.all() {

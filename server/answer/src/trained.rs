@@ -11,11 +11,11 @@ use tidemap_model::{
     selector::{ModelKind, ModelSelector},
 };
 
-use crate::state_or_cell::StateOrCell;
+use crate::StateOrCell;
 
 /// A model that was trained on the readings of a state.
 #[derive(Clone, Debug)]
-pub(crate) enum CachedModel {
+pub enum CachedModel {
     /// There are no readings: the prediction of an untrained state.
     Unlearned,
     /// The model; a model with orders was trained at the highest order, and predicts for all lower ones.
@@ -29,7 +29,7 @@ impl CachedModel {
     /// # Errors
     /// [`CannotTrain`] if a parameter is out of range, the model does not support the readings, or the training
     /// received the signal to stop.
-    pub(crate) fn train(
+    pub fn train(
         kind: ModelKind,
         state_kind: StateKind,
         samples: &[Sample],
@@ -46,7 +46,7 @@ impl CachedModel {
 
     /// Probability that the state is 1, or the forecast, at each of the moments, written to `out`, which has their
     /// length. A model that stores its outliers predicts 0 or 1 there, as observed.
-    pub(crate) fn predict_into(
+    pub fn predict_into(
         &self,
         view: &MapView,
         target: &StateOrCell,
@@ -58,7 +58,7 @@ impl CachedModel {
     }
 
     /// Does the same as [`CachedModel::predict_into`], but without stored outliers, to judge observations.
-    pub(crate) fn expect_into(
+    pub fn expect_into(
         &self,
         view: &MapView,
         target: &StateOrCell,

@@ -2,14 +2,16 @@
 //!
 //! Invariant: the reason names the setting or the command that would change it, if there is one.
 
+#![allow(missing_docs, reason = "the message of each variant explains it and its fields")]
+
 use tidemap_map::{event::StateKind, view::MapView};
 use tidemap_model::{models::CannotTrain, selector::ModelKind};
 
-use crate::state_or_cell::StateOrCell;
+use crate::StateOrCell;
 
 /// The subject of a model.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum ModelSubject {
+pub enum ModelSubject {
     /// A state or cell.
     #[error("model {model} of state {state:?}")]
     State { model: ModelKind, state: String },
@@ -20,7 +22,7 @@ pub(crate) enum ModelSubject {
 
 /// The reason why a model cannot predict a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub(crate) enum ModelUnavailable {
+pub enum ModelUnavailable {
     #[error("it must be trained on observations, and the map, created with {option} \"none\", keeps none")]
     NotKept { option: &'static str },
     #[error("it must be trained on observations, and the map no longer keeps those of this state: see its retention")]
@@ -53,7 +55,7 @@ impl ModelUnavailable {
     ///
     /// # Errors
     /// The reason why they do not.
-    pub(crate) fn check(target: &StateOrCell, view: &MapView, kind: ModelKind) -> Result<(), ModelUnavailable> {
+    pub fn check(target: &StateOrCell, view: &MapView, kind: ModelKind) -> Result<(), ModelUnavailable> {
         if matches!(target, StateOrCell::Cell(_)) && !kind.needs_readings() && !kind.is_for_cells() {
             return Err(ModelUnavailable::StatesOnly);
         }

@@ -2,44 +2,26 @@
 //!
 //! Invariant: a flow is trained on at least one detection, and only on detections that have both.
 
-use tidemap_map::{ids::StateId, spec::MapSpec};
+use tidemap_map::spec::MapSpec;
 use tidemap_model::{
     Sample, StopSignal, direction_rad,
     models::{CannotTrain, FLOW_BINS_MAX, FlowDetection, FlowModel, FlowOptions, FlowRaster},
 };
-use tidemap_proto::convert::query::FlowSource;
-use tidemap_store::MapId;
 
-use super::ModelUnavailable;
+use crate::ModelUnavailable;
 
 /// Edge of a cell if none is given, metres.
 const EDGE_M: f64 = 1.0;
 
-/// Identifies a flow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct FlowKey {
-    pub map: MapId,
-    /// The number of the map's handle: an erasure gives states other ids.
-    pub handle: u64,
-    /// The flow has learned the updates up to this one.
-    pub generation: u64,
-    /// The first axes of the positions and of the motion.
-    pub states: [StateId; 2],
-    /// The bits of the corners and of the edge length, if they are given.
-    raster: [u64; 5],
-    directions: usize,
-}
-
-impl FlowKey {
-    /// The key of a source.
-    pub(crate) fn new(map: MapId, handle: u64, generation: u64, states: [StateId; 2], source: &FlowSource) -> Self {
-        let mut raster = [f64::NAN.to_bits(); 5];
-        let corners = source.region.iter().flat_map(|region| region.low_m.iter().chain(&region.high_m));
-        // Adding 0 makes -0 a 0.
-        raster.iter_mut().zip(corners).for_each(|(bits, coordinate)| *bits = (coordinate + 0.0).to_bits());
-        raster[4] = source.edge_m.map_or(raster[4], f64::to_bits);
-        Self { map, handle, generation, states, raster, directions: source.directions }
-    }
+/// The raster and the directions of a flow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlowRequest {
+    /// The lower and the upper corner in metres; `None`: the region of the detections.
+    pub region_m: Option<[[f64; 2]; 2]>,
+    /// Edge of a cell in metres; `None`: the default.
+    pub edge_m: Option<f64>,
+    /// Number of directions.
+    pub directions: usize,
 }
 
 /// Trains a flow on the readings of the x and y axes of positions, and of two axes of their motion, each ascending by
@@ -48,8 +30,8 @@ impl FlowKey {
 /// # Errors
 /// [`ModelUnavailable`] if positions and motion have no common time, nobody moves, nobody is in the region, the raster
 /// is too large, or the training is stopped.
-pub(crate) fn train_flow(
-    source: &FlowSource,
+pub fn train_flow(
+    request: &FlowRequest,
     places: [&[Sample]; 2],
     motions: [&[Sample]; 2],
     spec: &MapSpec,
@@ -61,9 +43,9 @@ pub(crate) fn train_flow(
         (true, _) => return Err(ModelUnavailable::NobodyMoves),
         (false, _) => {}
     }
-    let raster = raster(source, &detections)?;
+    let raster = raster(request, &detections)?;
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
-    let options = FlowOptions { directions: source.directions, half_life_secs, ..FlowOptions::new(raster) };
+    let options = FlowOptions { directions: request.directions, half_life_secs, ..FlowOptions::new(raster) };
     FlowModel::train(&detections, &spec.periodicities, &options, stop).map_err(|error| match error {
         CannotTrain::NoReadings => ModelUnavailable::NoneInRegion { elsewhere: detections.len() },
         error => error.into(),
@@ -97,15 +79,15 @@ fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Detect
     found
 }
 
-/// The raster of a source; by default cells of a metre over all detections, or larger cells.
-fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaster, ModelUnavailable> {
+/// The raster of a request; by default cells of a metre over all detections, or larger cells.
+fn raster(request: &FlowRequest, detections: &[FlowDetection]) -> Result<FlowRaster, ModelUnavailable> {
     let bound = |axis: usize, start: f64, nearer: fn(f64, f64) -> f64| {
         detections.iter().map(|detection| detection.place_m[axis]).fold(start, nearer)
     };
-    let (low_m, high_m) = match &source.region {
-        Some(region) => ([0, 1].map(|axis| region.low_m[axis]), [0, 1].map(|axis| region.high_m[axis])),
+    let (low_m, high_m) = match request.region_m {
+        Some([low_m, high_m]) => (low_m, high_m),
         None => {
-            let edge = source.edge_m.unwrap_or(EDGE_M);
+            let edge = request.edge_m.unwrap_or(EDGE_M);
             // The raster begins at whole cells from the origin, so that the cells stay in place when somebody walks
             // farther.
             let low = [0, 1].map(|axis| (bound(axis, f64::INFINITY, f64::min) / edge).floor() * edge);
@@ -115,10 +97,10 @@ fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaste
     };
     let sides = [0, 1].map(|axis| high_m[axis] - low_m[axis]);
     let counts = |edge: f64| sides.map(|side| (side / edge - 1e-9).ceil().max(1.0));
-    let bins = |edge: f64| counts(edge).iter().product::<f64>() * source.directions as f64;
+    let bins = |edge: f64| counts(edge).iter().product::<f64>() * request.directions as f64;
     let max = FLOW_BINS_MAX;
-    let mut edge_m = source.edge_m.unwrap_or(EDGE_M);
-    while source.edge_m.is_none() && bins(edge_m) > max as f64 {
+    let mut edge_m = request.edge_m.unwrap_or(EDGE_M);
+    while request.edge_m.is_none() && bins(edge_m) > max as f64 {
         edge_m *= 2.0;
     }
     if bins(edge_m) > max as f64 {
@@ -130,7 +112,6 @@ fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaste
 #[cfg(test)]
 mod tests {
     use tidemap_map::name::MapName;
-    use tidemap_proto::convert::query::PositionRegion;
 
     use super::*;
 
@@ -138,10 +119,7 @@ mod tests {
         values.iter().map(|&(secs, value)| Sample { utc_nanos: secs * 1_000_000_000, offset_secs: 0, value }).collect()
     }
 
-    fn source() -> FlowSource {
-        let (state, motion_state) = ("people".to_owned(), "velocity".to_owned());
-        FlowSource { state, motion_state, region: None, edge_m: None, directions: 8 }
-    }
+    const WHOLE: FlowRequest = FlowRequest { region_m: None, edge_m: None, directions: 8 };
 
     #[test]
     fn positions_and_directions_of_the_same_time_belong_together() {
@@ -164,17 +142,16 @@ mod tests {
         let y = samples(&[(1, 0.2), (2, 1.9)]);
         let spec = MapSpec::new(MapName::new("office").expect("valid"));
         let ones = samples(&[(1, 1.0), (2, 1.0)]);
-        let train = |source: &FlowSource| {
-            train_flow(source, [&x, &y], [&ones, &ones], &spec, StopSignal::NEVER).map(|model| model.options().raster)
+        let train = |request: FlowRequest| {
+            train_flow(&request, [&x, &y], [&ones, &ones], &spec, StopSignal::NEVER).map(|model| model.options().raster)
         };
-        assert_eq!(train(&source()), Ok(FlowRaster { low_m: [-1.0, 0.0], edge_m: 1.0, counts: [5, 2] }));
-        let region = Some(PositionRegion { low_m: vec![-500.0, -500.0], high_m: vec![500.0, 500.0] });
-        let wide = train(&FlowSource { region: region.clone(), ..source() }).expect("larger cells");
+        assert_eq!(train(WHOLE), Ok(FlowRaster { low_m: [-1.0, 0.0], edge_m: 1.0, counts: [5, 2] }));
+        let region_m = Some([[-500.0, -500.0], [500.0, 500.0]]);
+        let wide = train(FlowRequest { region_m, ..WHOLE }).expect("larger cells");
         assert_eq!((wide.edge_m, wide.counts), (8.0, [125, 125]));
-        let fine = FlowSource { region, edge_m: Some(0.5), ..source() };
-        assert!(matches!(train(&fine), Err(ModelUnavailable::RasterTooLarge { .. })));
-        let apart = Some(PositionRegion { low_m: vec![50.0, 50.0], high_m: vec![60.0, 60.0] });
-        let apart = FlowSource { region: apart, ..source() };
-        assert_eq!(train(&apart), Err(ModelUnavailable::NoneInRegion { elsewhere: 2 }));
+        let fine = FlowRequest { region_m, edge_m: Some(0.5), ..WHOLE };
+        assert!(matches!(train(fine), Err(ModelUnavailable::RasterTooLarge { .. })));
+        let apart = FlowRequest { region_m: Some([[50.0, 50.0], [60.0, 60.0]]), ..WHOLE };
+        assert_eq!(train(apart), Err(ModelUnavailable::NoneInRegion { elsewhere: 2 }));
     }
 }

@@ -16,7 +16,7 @@ const COUNTED_MAX: i64 = 100_000;
 
 /// A model that was trained on the positions of a vector.
 #[derive(Clone, Debug)]
-pub(crate) struct PositionModel {
+pub struct PositionModel {
     field: HypertimeField,
     /// The number of positions in an interval (RA-L 2019 section IV.D; the rate after Jovan et al.).
     rate: PoissonSpectral,
@@ -31,7 +31,7 @@ impl PositionModel {
     /// # Errors
     /// [`CannotTrain`] if an option is out of range, there is no reading, or the axes do not have readings at the same
     /// times.
-    pub(crate) fn train(
+    pub fn train(
         options: &HypertimeOptions,
         axes: &[impl AsRef<[Sample]>],
         spec: &MapSpec,
@@ -71,22 +71,22 @@ impl PositionModel {
     }
 
     /// Number of positions on which the model was trained.
-    pub(crate) fn positions(&self) -> u64 {
+    pub fn positions(&self) -> u64 {
         self.positions
     }
 
     /// The least and the greatest coordinates of the training positions, in metres by axis.
-    pub(crate) fn bounds_m(&self) -> (&[f64], &[f64]) {
+    pub fn bounds_m(&self) -> (&[f64], &[f64]) {
         (&self.low_m, &self.high_m)
     }
 
     /// Expected number of positions per second at a moment.
-    pub(crate) fn per_sec(&self, at: Moment) -> f64 {
+    pub fn per_sec(&self, at: Moment) -> f64 {
         self.rate.predict(at) / (self.rate.bin_nanos() as f64 / 1e9)
     }
 
     /// The distribution at a moment; `None` if the distribution is undefined.
-    pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
+    pub fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])
     }
 }

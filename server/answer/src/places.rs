@@ -11,7 +11,7 @@ use tidemap_model::{
 
 /// A model of a state by place and time.
 #[derive(Clone, Debug)]
-pub(crate) struct PlaceModel {
+pub struct PlaceModel {
     field: HypertimeField,
     observations: u64,
 }
@@ -22,7 +22,7 @@ impl PlaceModel {
     ///
     /// # Errors
     /// [`CannotTrain`] if an option is out of range, state and vector have no common time, or the training is stopped.
-    pub(crate) fn train(
+    pub fn train(
         options: &HypertimeOptions,
         values: &[Sample],
         axes: &[impl AsRef<[Sample]>],
@@ -59,12 +59,12 @@ impl PlaceModel {
     }
 
     /// Number of observations with a position.
-    pub(crate) fn observations(&self) -> u64 {
+    pub fn observations(&self) -> u64 {
         self.observations
     }
 
     /// The distribution at a place, in metres, and a moment; `None` if the distribution is undefined.
-    pub(crate) fn at(&self, place_m: &[f64], at: Moment) -> Option<HypertimeDistribution> {
+    pub fn at(&self, place_m: &[f64], at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, place_m)
     }
 }

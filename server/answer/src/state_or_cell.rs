@@ -25,7 +25,7 @@ use tidemap_model::{
 
 /// A named state or a cell.
 #[derive(Clone, Debug)]
-pub(crate) enum StateOrCell {
+pub enum StateOrCell {
     /// A named state.
     State(StateId),
     /// A cell that was observed.
@@ -34,7 +34,7 @@ pub(crate) enum StateOrCell {
 
 /// A cell that was observed.
 #[derive(Clone, Debug)]
-pub(crate) struct KnownCell {
+pub struct KnownCell {
     /// Index of the cell.
     pub index: CellIndex,
     /// The tile that holds the cell.
@@ -51,7 +51,7 @@ impl From<StateId> for StateOrCell {
 
 impl StateOrCell {
     /// The source of the readings, which identifies the state or cell in its map.
-    pub(crate) fn subject(&self) -> Subject {
+    pub fn subject(&self) -> Subject {
         match self {
             Self::State(id) => Subject::State(*id),
             Self::Cell(cell) => Subject::Cell(cell.tile, cell.index.tile().1),
@@ -59,7 +59,7 @@ impl StateOrCell {
     }
 
     /// Name of the state, or `cell/X/Y/Z`.
-    pub(crate) fn name<'a>(&self, view: &'a MapView) -> Cow<'a, str> {
+    pub fn name<'a>(&self, view: &'a MapView) -> Cow<'a, str> {
         match self {
             Self::State(id) => Cow::Borrowed(view.info(*id).map_or("", |info| info.name.as_str())),
             Self::Cell(cell) => Cow::Owned(cell.index.name()),
@@ -67,7 +67,7 @@ impl StateOrCell {
     }
 
     /// The meaning of the values.
-    pub(crate) fn kind(&self, view: &MapView) -> StateKind {
+    pub fn kind(&self, view: &MapView) -> StateKind {
         match self {
             Self::State(id) => view.kind(*id),
             Self::Cell(_) => StateKind::Probability,
@@ -75,7 +75,7 @@ impl StateOrCell {
     }
 
     /// The way in which the observations are reported.
-    pub(crate) fn reporting(&self, view: &MapView) -> Reporting {
+    pub fn reporting(&self, view: &MapView) -> Reporting {
         match self {
             Self::State(id) => view.info(*id).map_or(Reporting::Samples, |info| info.reporting),
             Self::Cell(_) => Reporting::Samples,
@@ -83,7 +83,7 @@ impl StateOrCell {
     }
 
     /// Number of observations that updates have learned.
-    pub(crate) fn learned(&self, view: &MapView) -> u64 {
+    pub fn learned(&self, view: &MapView) -> u64 {
         match self {
             Self::State(id) => view.model(*id).learned_observations(),
             Self::Cell(cell) => cell.description.folded,
@@ -91,7 +91,7 @@ impl StateOrCell {
     }
 
     /// Number of observations acknowledged.
-    pub(crate) fn observations(&self, view: &MapView) -> u64 {
+    pub fn observations(&self, view: &MapView) -> u64 {
         match self {
             Self::State(id) => view.as_observed(*id).observations,
             Self::Cell(cell) => cell.description.observations,
@@ -99,7 +99,7 @@ impl StateOrCell {
     }
 
     /// The last value, and the duration of values.
-    pub(crate) fn persistence(&self, view: &MapView) -> Persistence {
+    pub fn persistence(&self, view: &MapView) -> Persistence {
         match self {
             Self::State(id) => view.live(*id).persistence,
             Self::Cell(cell) => cell.description.persistence,
@@ -107,7 +107,7 @@ impl StateOrCell {
     }
 
     /// The mean of the learned observations; before the first one, the prior.
-    pub(crate) fn mean(&self, view: &MapView) -> f64 {
+    pub fn mean(&self, view: &MapView) -> f64 {
         match self {
             Self::State(id) => view.model(*id).spectral().mean(),
             Self::Cell(cell) => cell.description.spectral.mean(),
@@ -115,7 +115,7 @@ impl StateOrCell {
     }
 
     /// Order of the spectral model that predicts the state or cell; 0 for a constant model or another kind.
-    pub(crate) fn order(&self, view: &MapView, selector: ModelSelector) -> usize {
+    pub fn order(&self, view: &MapView, selector: ModelSelector) -> usize {
         match self {
             Self::State(id) => selector.order_for(view.model(*id)),
             Self::Cell(cell) => cell.description.order_for(selector),
@@ -123,7 +123,7 @@ impl StateOrCell {
     }
 
     /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned.
-    pub(crate) fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
+    pub fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
         let is_learned = matches!(selector.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral);
         if is_learned && !selector.is_blended() && self.learned(view) == 0 {
             return None;
@@ -135,7 +135,7 @@ impl StateOrCell {
     }
 
     /// Predicts the state or cell by the view's models. `out` is as long as the times.
-    pub(crate) fn predict_into(&self, view: &MapView, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
+    pub fn predict_into(&self, view: &MapView, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         match self {
             Self::State(id) => view.predict_into(*id, times, selector, out),
             Self::Cell(cell) => view.predict_cell_into(&cell.description, times, selector, out),
@@ -143,7 +143,7 @@ impl StateOrCell {
     }
 
     /// Predicts the state or cell by a model that was trained on its readings. `out` is as long as the moments.
-    pub(crate) fn predict_trained_into(
+    pub fn predict_trained_into(
         &self,
         view: &MapView,
         moments: &[Moment],
@@ -161,7 +161,7 @@ impl StateOrCell {
 
     /// The predictive distributions around the predictions; `None` where bins are not counted: for a cell, and for a
     /// learned state without an ensemble.
-    pub(crate) fn predictive_around(
+    pub fn predictive_around(
         &self,
         view: &MapView,
         moments: &[Moment],
@@ -176,7 +176,7 @@ impl StateOrCell {
     }
 
     /// The bands of the predictions; none without a level.
-    pub(crate) fn intervals(
+    pub fn intervals(
         &self,
         view: &MapView,
         moments: &[Moment],
@@ -190,7 +190,7 @@ impl StateOrCell {
     }
 
     /// The readings as samples on the map's civil time, with the values that they count as.
-    pub(crate) fn samples(&self, view: &MapView, readings: impl IntoIterator<Item = (i64, f64)>) -> Vec<Sample> {
+    pub fn samples(&self, view: &MapView, readings: impl IntoIterator<Item = (i64, f64)>) -> Vec<Sample> {
         let mut make = view.sample_maker();
         let levels = match self {
             Self::State(_) => None,
