@@ -146,7 +146,7 @@ fn scans_without_a_place_are_counted_and_named() {
     }
     let file = written(&folder, "bare.bag", &bag, usize::MAX);
     let line = format!("import still {} --producer robot-1", file.display());
-    words(&daemon, &line).fails(1, &["where \"laser\" of /scan was", "--frame laser"]);
+    words(&daemon, &line).fails(1, &["the position of \"laser\" of /scan", "--frame laser"]);
     words(&daemon, "map show still").fails(1, &["still"]);
     let placed = words(&daemon, &format!("{line} --frame laser"));
     assert_eq!(counts(&placed.table(), "/scan"), [10, 0, 0]);

