@@ -246,10 +246,10 @@ fn wrong_files_are_named_before_anything_is_created() {
     for (key, value, words) in [
         ("tls_key", "", "tls_key is not set"),
         ("tls_key", "/nonexistent/key", "tls_key: /nonexistent/key cannot be read"),
-        ("tls_key", empty.to_str().expect("text"), "holds no private key"),
+        ("tls_key", empty.to_str().expect("text"), "contains no private key"),
         ("tls_key", foreign.to_str().expect("text"), "cannot be used together"),
-        ("tls_certificate", empty.to_str().expect("text"), "holds no certificate"),
-        ("tls_client_ca", empty.to_str().expect("text"), "holds no certificate"),
+        ("tls_certificate", empty.to_str().expect("text"), "contains no certificate"),
+        ("tls_client_ca", empty.to_str().expect("text"), "contains no certificate"),
     ] {
         let exit = launch(work.path(), &pair).setting(key, value).try_start().expect_err(words);
         assert!(exit.code() == Some(78) && exit.stderr.contains(words), "{words}: {exit}");
