@@ -113,7 +113,7 @@ async fn a_new_certificate_is_used_without_a_restart_and_a_bad_one_is_not() {
     open.maps().await.expect("an open connection stays");
 
     fs::write(work.path().join("daemon.key"), "no key").expect("written");
-    eventually("no key", async || daemon.process().stderr().contains("holds no private key")).await;
+    eventually("no key", async || daemon.process().stderr().contains("contains no private key")).await;
     after.client(&daemon, None, None).maps().await.expect("the certificate before stays");
 
     let _ = last.sign(Validity::Years).write(work.path());
