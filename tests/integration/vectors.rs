@@ -247,7 +247,7 @@ fn what_is_no_position_is_refused_whole() {
         "row 6 (line 7) is refused",
         "row 7 (line 8) is refused: state \"door\" exists and is a probability, not a vector of 2 coordinates",
         "row 8 (line 9) is refused: state name \"cell\" is not for a vector",
-        "row 9 (line 10) is refused: state name \"anna/x\" holds '/'",
+        "row 9 (line 10) is refused: state name \"anna/x\" contains '/'",
     ] {
         assert!(sent.stderr.contains(words), "{words:?} is not in:\n{}", sent.stderr);
     }

@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Maximum number of refusals that are reported in words.
-const REFUSALS_TOLD: usize = 100;
+const REFUSALS_LISTED: usize = 100;
 /// Rows between two checks of the refusals.
 const CHUNK: usize = 32_768;
 
@@ -252,7 +252,7 @@ fn compare(content: &Rows, before: u64, content_crc: u32) -> Result<(), String> 
 pub(crate) fn collect(producer: &mut Producer, counts: &mut SentCounts) {
     for refusal in producer.take_refusals() {
         counts.refused += 1;
-        if counts.refusals.len() < REFUSALS_TOLD {
+        if counts.refusals.len() < REFUSALS_LISTED {
             counts.refusals.push((refusal.sequence.saturating_sub(1), refusal.detail));
         }
     }

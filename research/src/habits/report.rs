@@ -14,14 +14,15 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 /// Writes a row for each habit, and one row of their means.
 ///
 /// Columns: habit; mean squared error and log loss (nats) of the hidden state, and by which share they are above the
-/// errors of the best baseline; `held_50`: the share of uncertain hours of which the mean lay in the interval of 50 %,
-/// and `said_50`: the mean probability that the intervals stated; the same for other levels; `sure_99`: the share of
+/// errors of the best baseline; `coverage_50`: the share of uncertain hours of which the mean lay in the interval of 50 %,
+/// and `mass_50`: the mean probability that the intervals stated; the same for other levels; `sure_99`: the share of
 /// predictions below 0.01 or above 0.99, and `wrong_99`: the share of these that were wrong; `sure_999` and `wrong_999`
 /// with 0.001 and 0.999. A value that does not exist is empty, and has no part in the mean.
 pub fn summary<W: Write>(outcome: &HabitsComparison, format: Format, writer: W) -> io::Result<()> {
     let mut columns = ["habit", "mse", "mse_of_best", "log_loss", "log_loss_of_best"].map(str::to_owned).to_vec();
     let percent = |level: f64| (100.0 * level).round();
-    columns.extend(LEVELS.iter().flat_map(|&level| ["held", "said"].map(|word| format!("{word}_{}", percent(level)))));
+    columns
+        .extend(LEVELS.iter().flat_map(|&level| ["coverage", "mass"].map(|word| format!("{word}_{}", percent(level)))));
     let nines = SURE_WITHIN.map(|within| (1.0 / within).round() as u64 - 1);
     columns.extend(nines.iter().flat_map(|nines| ["sure", "wrong"].map(|word| format!("{word}_{nines}"))));
     let figures: Vec<Vec<Option<f64>>> = outcome.habits.iter().map(|row| figures(&row.scores)).collect();

@@ -15,7 +15,7 @@ use crate::spec::SensorNoise;
 /// Maximum number of sensors of a grid besides the map's own.
 pub const SENSORS_MAX: usize = u8::MAX as usize;
 /// Minimum distance between the levels of the map's own sensor, so that others can be expressed in its units.
-const TOLD_APART: f64 = 1e-9;
+const DISTINGUISHED: f64 = 1e-9;
 
 /// Number of a sensor of a grid; 0 is the map's own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -141,7 +141,7 @@ impl Sensors {
         let (own_free, own_occupied) = self.own.levels;
         let unit = own_occupied - own_free;
         // This is also false if the distance is NaN.
-        if unit.is_nan() || unit < TOLD_APART {
+        if unit.is_nan() || unit < DISTINGUISHED {
             return Err(InvalidSensor::Own { free: own_free, occupied: own_occupied });
         }
         let weights = Weights { alpha: (free - own_free) / unit, beta: (occupied - free) / unit };

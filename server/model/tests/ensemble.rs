@@ -82,7 +82,7 @@ fn a_half_year_is_known_for_the_year_after_wherever_the_record_ends() {
 }
 
 #[test]
-fn twelve_monthly_bins_tell_the_year() {
+fn twelve_monthly_bins_show_the_year() {
     let (mut error, mut of_mean) = (0.0, 0.0);
     for seed in 0..12 {
         let phase = 31 * seed;

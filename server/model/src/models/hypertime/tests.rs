@@ -131,7 +131,7 @@ fn values_that_do_not_change_are_predicted() {
 }
 
 #[test]
-fn two_readings_ten_years_apart_say_little() {
+fn two_readings_ten_years_apart_carry_little_information() {
     let at = |utc_nanos, value| Sample { utc_nanos, offset_secs: 0, value };
     let ten_years = 3_652 * 86_400 * NANOS_PER_SEC;
     for samples in [[at(0, 0.0), at(ten_years, 1.0)], [at(5, 0.0), at(5, 1.0)], [at(i64::MIN, 1.0), at(i64::MAX, 0.0)]]

@@ -224,7 +224,7 @@ fn gains_need_days_and_sound_numbers() {
 }
 
 #[test]
-fn gains_a_day_ahead_say_nothing_of_months() {
+fn gains_at_a_lead_time_of_a_day_do_not_count_for_months() {
     assert!(OrderGains::apply_to(&Periodicities::default()));
     assert!(!OrderGains::apply_to(&Periodicities::harmonics(365 * 1440 * MINUTE_NANOS, 1000).unwrap()));
 }

@@ -70,7 +70,7 @@ fn a_month_is_found_beside_the_periods_of_a_week() {
 }
 
 #[test]
-fn errors_in_long_slots_tell_nothing_of_short_periods() {
+fn errors_in_long_slots_carry_no_information_about_short_periods() {
     let (candidates, residuals) = residuals(times(), |weeks| (TAU * 7.0 * weeks).cos());
     let found = |hours: i64| {
         let slots = residuals.clone().in_slots_of(hours * 3_600 * NANOS_PER_SEC);

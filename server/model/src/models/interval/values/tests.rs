@@ -10,7 +10,7 @@ fn moments(days: f64, mean: f64, deviation: f64) -> HourMoments {
 }
 
 #[test]
-fn many_days_say_how_wide_the_band_is_and_few_days_widen_it() {
+fn many_days_determine_the_width_of_the_band_and_few_days_widen_it() {
     let width = |days| value_interval(StateKind::Continuous, 3.0, moments(days, 3.0, 0.5), 4.0, 0.9).width();
     // The width is 2 z σ.
     assert!((width(10_000.0) - 2.0 * 1.64485 * 0.5).abs() < 0.01, "{}", width(10_000.0));
