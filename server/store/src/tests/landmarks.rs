@@ -123,7 +123,8 @@ fn what_breaks_a_rule_of_the_table_is_refused() {
     let rows: Vec<_> = tables::rows(&whole.site).collect();
     assert_eq!(tables::site(&rows, 2).expect("readable"), *whole.site);
     let first = rows.iter().position(|row| row.table == 8).expect("landmarks");
-    let spoil: [(usize, fn(&mut LandmarksAtPlace)); 5] = [
+    type Spoil = fn(&mut LandmarksAtPlace);
+    let spoil: [(usize, Spoil); 5] = [
         (0, |place| place.node = Some(99)),
         (0, |place| place.edge = Some(0)),
         (1, |place| place.landmarks[0].along_bits = None),
