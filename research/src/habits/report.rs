@@ -14,8 +14,8 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 /// Writes a row for each habit, and one row of their means.
 ///
 /// Columns: habit; mean squared error and log loss (nats) of the hidden state, and by which share they are above the
-/// errors of the best baseline; `coverage_50`: the share of uncertain hours of which the mean lay in the interval of 50 %,
-/// and `mass_50`: the mean probability that the intervals stated; the same for other levels; `sure_99`: the share of
+/// errors of the best baseline; `coverage_50`: the share of uncertain hours of which the mean lay in the interval of 50
+/// %, and `mass_50`: the mean probability that the intervals stated; the same for other levels; `sure_99`: the share of
 /// predictions below 0.01 or above 0.99, and `wrong_99`: the share of these that were wrong; `sure_999` and `wrong_999`
 /// with 0.001 and 0.999. A value that does not exist is empty, and has no part in the mean.
 pub fn summary<W: Write>(outcome: &HabitsComparison, format: Format, writer: W) -> io::Result<()> {
