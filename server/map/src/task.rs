@@ -155,7 +155,8 @@ impl RobotTask {
     }
 }
 
-/// The moment of a local time of day, nanoseconds UTC. A time that the clocks skip is as far after the jump.
+/// The moment of a local time of day, nanoseconds UTC. A time that the clocks skip moves to the other side of the jump:
+/// 01:30 becomes 02:30 where the clocks jump from 01:00 to 02:00.
 #[must_use]
 pub fn local_nanos(zone: &Zone, day: LocalDay, secs: u32) -> i64 {
     const NANOS: i64 = 1_000_000_000;
@@ -163,7 +164,9 @@ pub fn local_nanos(zone: &Zone, day: LocalDay, secs: u32) -> i64 {
     let midnight = zone.midnight_nanos(day);
     let guess = midnight.saturating_add(i64::from(secs) * NANOS);
     let by_clock = guess.saturating_add(i64::from(zone.offset_secs(guess)) * NANOS);
-    guess.saturating_sub(by_clock.saturating_sub(wanted)).max(midnight)
+    let moment = guess.saturating_sub(by_clock.saturating_sub(wanted)).max(midnight);
+    let is_skipped = moment.saturating_add(i64::from(zone.offset_secs(moment)) * NANOS) != wanted && by_clock > wanted;
+    if is_skipped { guess } else { moment }
 }
 
 /// A report: a robot did a task, or tried to.

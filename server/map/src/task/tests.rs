@@ -69,6 +69,7 @@ fn a_time_of_day_is_the_clock_on_the_wall() {
     let jump = LocalDay(MONDAY.0 + 6);
     let before = local_nanos(&zone, jump, HOUR / 2);
     assert_eq!(local_nanos(&zone, jump, 9 * HOUR) - before, 15 * HOUR_NANOS / 2);
+    assert_eq!(local_nanos(&zone, jump, 3 * HOUR / 2) - before, HOUR_NANOS, "01:30 does not exist: 02:30");
     let usual = LocalDay(MONDAY.0 + 7);
     assert_eq!(local_nanos(&zone, usual, 9 * HOUR) - local_nanos(&zone, jump, 9 * HOUR), 24 * HOUR_NANOS);
     assert_eq!(local_nanos(&zone, usual, 24 * HOUR), zone.midnight_nanos(LocalDay(usual.0 + 1)));
