@@ -40,7 +40,7 @@ fn new_habits_are_scored_beside_baselines_and_by_what_their_intervals_hold() {
     let table = outcome.table();
     assert_eq!(table.column("habit"), ["new-office", "new-bar", "all"]);
     for level in ["50", "80", "90", "95"] {
-        let (held, claimed) = (table.numbers(&format!("held_{level}")), table.numbers(&format!("said_{level}")));
+        let (held, claimed) = (table.numbers(&format!("coverage_{level}")), table.numbers(&format!("mass_{level}")));
         assert!(held.iter().chain(&claimed).all(|share| (0.0..=1.0).contains(share)), "{table:?}");
         let level: f64 = level.parse().expect("a number");
         assert!(claimed.iter().all(|&share| share > level / 100.0 - 1e-6), "an interval holds its level: {table:?}");
