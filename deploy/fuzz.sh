@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Runs every fuzz target of tests/fuzz for SECS seconds (default 60), with limits of memory (512 MiB) and of time for one
-# input (10 s), and prints how many inputs each has tried. Findings are in target/fuzz/TARGET; a next run goes on from
-# the corpus of earlier ones.
+# Runs every fuzz target of tests/fuzz for SECS seconds (default 60), with limits of memory (512 MiB) and of time for
+# one input (10 s), and prints how many inputs each has tried. Findings are in target/fuzz/TARGET; a next run goes on
+# from the corpus of earlier ones.
 #
 #   deploy/fuzz.sh [SECS [TARGET...]]
 set -euo pipefail

@@ -3,8 +3,8 @@
 #
 #   deploy/python.sh [PYTHON...]
 #
-# Every PYTHON (default: python3) gets an environment in target/python, in which the wheel is installed, the tests run and
-# mypy checks the types.
+# Every PYTHON (default: python3) gets an environment in target/python, in which the wheel is installed, the tests run
+# and mypy checks the types.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 pythons=("$@")

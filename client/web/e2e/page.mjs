@@ -69,7 +69,8 @@ function contacts() {
     daemon.run('update', 'contacts');
 }
 
-/** Makes a map of a corridor where people walk from 7 to 19, east before noon and west after, and one that has not learned it. */
+// Makes a map of a corridor where people walk from 7 to 19, east before noon and west after, and a map that has not
+// learned it.
 function halls() {
     const [people, heading] = [['time,state,x,y'], ['time,state,value']];
     for (let walk = 0; walk < 14 * 144; walk++) {

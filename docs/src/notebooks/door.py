@@ -54,8 +54,8 @@ scores = client.evaluate("office", later, models=["mean", "latest", "histogram:2
 scores
 
 # %% [markdown]
-# In the night to Tuesday somebody leaves the door open. That is unusual, and told as one episode: with one look in thirty
-# wrong, the model is sure of a shut door to 0.96, not to the usual 0.99.
+# In the night to Tuesday somebody leaves the door open. That is unusual, and is reported as one episode. With one
+# observation in thirty wrong, the model is sure of a shut door to 0.96, not to the usual 0.99.
 
 # %%
 night = pd.date_range("2026-02-16 22:00", periods=6, freq="30min", tz="Europe/London")

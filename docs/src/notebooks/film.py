@@ -1,7 +1,7 @@
 # %% [markdown]
 # # A building as a film
-# A robot maps a corridor with three doors, as a grid of cells, several times a day for three weeks. Every cell learns its
-# own rhythm, and the whole grid can be predicted for any time: a film of the day to come.
+# A robot maps a corridor with three doors, as a grid of cells, several times a day for three weeks. Every cell learns
+# its own rhythm, and the whole grid can be predicted for any time: a film of the day to come.
 
 # %%
 import numpy as np
