@@ -49,13 +49,28 @@ pub(crate) enum NoRoom {
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddStateError {
-    #[error("state {name:?} exists and is {found}, not {requested}: the kind of a state never changes", name = .name.as_str(), found = .found.with_article(), requested = .requested.with_article())]
+    #[error(
+        "state {name:?} exists and is {found}, not {requested}: the kind of a state never changes",
+        name = .name.as_str(), found = .found.with_article(), requested = .requested.with_article()
+    )]
     OtherKind { name: StateName, found: StateShape, requested: StateShape },
-    #[error("state {name:?} exists with {has}, not {requested}: the sensor of a state never changes; add the state before its first observation, or under another name", name = .name.as_str(), has = found.map_or("no stated sensor".to_owned(), |found| found.to_string()))]
+    #[error(
+        "state {name:?} exists with {has}, not {requested}: the sensor of a state never changes; add the state before \
+         its first observation, or under another name",
+        name = .name.as_str(), has = found.map_or("no stated sensor".to_owned(), |found| found.to_string())
+    )]
     OtherSensor { name: StateName, found: Option<StateSensor>, requested: StateSensor },
-    #[error("state {name:?} exists and is reported by {found}, not by {requested}: how a state is reported never changes; add the state before its first observation, or erase it first", name = .name.as_str())]
+    #[error(
+        "state {name:?} exists and is reported by {found}, not by {requested}: how a state is reported never changes; \
+         add the state before its first observation, or erase it first",
+        name = .name.as_str()
+    )]
     OtherReporting { name: StateName, found: Reporting, requested: StatedReporting },
-    #[error("state {name:?} exists with other labels: the labels of a state never change; add them under another name, or erase the state first", name = .name.as_str())]
+    #[error(
+        "state {name:?} exists with other labels: the labels of a state never change; add them under another name, or \
+         erase the state first",
+        name = .name.as_str()
+    )]
     OtherLabels { name: StateName },
     #[error(transparent)]
     NoRoom(#[from] NoRoom),

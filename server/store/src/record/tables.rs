@@ -72,7 +72,7 @@ impl SiteTable {
     }
 }
 
-/// All tables, ascending by number. Tables whose rows seldom change come first, because an added row moves the rows
+/// All tables, ascending by number. The table with the most rows is the last one, because an added row moves the rows
 /// after it.
 const TABLES: [SiteTable; 8] = [
     SiteTable::of::<charger::Charger>(),
