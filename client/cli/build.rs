@@ -2,7 +2,7 @@
 //!
 //! Invariant: the version is made in the same way as the daemon's.
 
-#[path = "../../server/build_version.rs"]
+#[path = "../../server/base/build_version.rs"]
 mod build_version;
 
 fn main() {

@@ -9,9 +9,8 @@ use tidemap_cluster::{
     membership::MembersView,
     replica::{ReplicaRole, ReplicaStatus},
 };
+use tidemap_ingest::{catalog::Catalog, cluster::Cluster};
 use tokio::time::Instant;
-
-use crate::{catalog::Catalog, cluster::Cluster};
 
 /// A value of a metric, with a label or without.
 pub(crate) type Figure = (&'static str, Option<(&'static str, &'static str)>, f64);

@@ -10,8 +10,7 @@ use std::{
 };
 
 use clap::CommandFactory as _;
-
-use crate::config::{Flags, OfflineCommand, Settings, config_text};
+use tidemap_base::config::{Flags, OfflineCommand, Settings, config_text};
 
 /// Runs a command that only prints or writes such a text; `None` for other commands.
 pub(crate) fn run(flags: &Flags) -> Option<ExitCode> {

@@ -6,7 +6,18 @@
 use std::{io::Write as _, sync::Arc, time::Duration};
 
 use rustix::{fs::Mode, process::umask};
+use tidemap_base::{
+    config::Settings,
+    random_id::random_id,
+    telemetry::{self, traces::Traces},
+};
+use tidemap_ingest::{
+    backups::Schedule,
+    catalog::{Catalog, CatalogError, UnopenedMap},
+    cluster::{Cluster, ClusterStart},
+};
 use tidemap_model::InstructionSet;
+use tidemap_rpc::copies::CopyClient;
 use tidemap_store::{Store, disk::Disk};
 use tokio::{
     signal::unix::{SignalKind, signal},
@@ -14,18 +25,7 @@ use tokio::{
 };
 use tracing::{error, info, warn};
 
-use crate::{
-    backups::Schedule,
-    catalog::{Catalog, CatalogError, UnopenedMap},
-    cluster::{Cluster, ClusterStart},
-    config::Settings,
-    http,
-    random_id::random_id,
-    rpc::copies::CopyClient,
-    scrubber::Scrubber,
-    silent_producers::SilentProducers,
-    telemetry::{self, traces::Traces},
-};
+use crate::{http, scrubber::Scrubber, silent_producers::SilentProducers};
 
 mod copying;
 mod keeping;
@@ -119,7 +119,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let opened = open_catalog(&settings, Arc::clone(&store), fatal_of_maps, forks_sender, cluster.clone());
     let (catalog, rest) = opened.await?;
     let for_forks = Arc::clone(&catalog);
-    crate::task::spawn(async move {
+    tidemap_base::task::spawn(async move {
         while let Some(fork) = forks.recv().await {
             for_forks.forked(fork).await;
         }
@@ -132,13 +132,13 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let keeping = match (cluster.clone(), ports::shared_maps(&settings, &catalog)?) {
         (Some(cluster), Some(shared)) => {
             let client = CopyClient::new(shared, cluster.secret());
-            Some(crate::task::spawn(keeping::keep(cluster, Arc::clone(&catalog), client)))
+            Some(tidemap_base::task::spawn(keeping::keep(cluster, Arc::clone(&catalog), client)))
         }
         _ => None,
     };
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
-        crate::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
+        tidemap_base::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
     }
     let result = tokio::select! {
         _ = terminate.recv() => Ok(()),
@@ -198,7 +198,7 @@ fn report_ready(settings: &Settings, store: &Store, ports: &Ports) {
 
 /// Restores the maps that are served from the index. Ends only if one cannot be restored.
 async fn cannot_restore(catalog: Arc<Catalog>, rest: Vec<UnopenedMap>) -> DaemonError {
-    match crate::task::blocking(move || catalog.restore_rest(rest)).await {
+    match tidemap_base::task::blocking(move || catalog.restore_rest(rest)).await {
         Ok(Err(error)) => error.into(),
         Err(error) => DaemonError::Other(error.into()),
         Ok(Ok(())) => std::future::pending().await,

@@ -5,13 +5,13 @@
 use std::{process::ExitCode, time::Duration};
 
 use anyhow::{Context as _, anyhow};
+use tidemap_base::{config::Settings, random_id::random_id};
 use tidemap_cluster::{
     engine::{Engine as _, EngineServer},
     nats::{NatsEngine, check},
     race::{RaceOutcome, RaceTerms, race},
 };
-
-use crate::{cluster::nats_settings, config::Settings, random_id::random_id};
+use tidemap_ingest::cluster::nats_settings;
 
 /// Number of writers that race, each with a connection of its own.
 const WRITERS: usize = 4;

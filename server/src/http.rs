@@ -18,21 +18,22 @@ use axum::{
     routing::get,
 };
 use metrics_exporter_prometheus::PrometheusHandle;
-use tidemap_store::Trouble;
-use tokio::sync::{mpsc, watch};
-
-use crate::{
+use tidemap_base::{
+    connections::{Remote, accept::Accepted, http1, unread::UnreadReplies},
+    telemetry::process,
+};
+use tidemap_ingest::{
     backups::Schedule,
     catalog::Catalog,
-    cluster_figures::figures,
-    connections::{Remote, accept::Accepted, http1, unread::UnreadReplies},
-    ingest::handle::{MapHandle, OpenProgress},
-    rpc::{admission::note_denial, guard::Access, status::RpcError},
-    silent_producers::SilentProducers,
+    handle::{MapHandle, OpenProgress},
     statistics,
-    telemetry::process,
-    web::{self, KnownHosts},
 };
+use tidemap_rpc::{admission::note_denial, guard::Access, status::RpcError};
+use tidemap_store::Trouble;
+use tidemap_web::KnownHosts;
+use tokio::sync::{mpsc, watch};
+
+use crate::{cluster_figures::figures, silent_producers::SilentProducers};
 
 mod shared_text;
 
@@ -107,7 +108,8 @@ pub(crate) struct Metrics {
 
 impl Metrics {
     fn may_read_names(&self, request: &Request) -> bool {
-        matches!(self.names_for.may_read_metrics(request.headers()), Ok(true)) && web::is_own(&self.hosts, request)
+        matches!(self.names_for.may_read_metrics(request.headers()), Ok(true))
+            && tidemap_web::is_own(&self.hosts, request)
     }
 }
 
@@ -132,7 +134,7 @@ async fn keep_busy(
     let busy = remote.busy(false);
     // The task handles one request per turn: many that arrive at once over one connection do not delay others.
     tokio::task::yield_now().await;
-    unread.counted(next.run(request).await, &remote, busy).unwrap_or_else(web::no_room)
+    unread.counted(next.run(request).await, &remote, busy).unwrap_or_else(tidemap_web::no_room)
 }
 
 /// The routes for connections beyond the limits; each connection gets one answer.
@@ -158,7 +160,7 @@ pub(crate) async fn serve(
 ) {
     let probes = probes(Arc::clone(&catalog), stopping);
     let reserve = reserve(probes.clone());
-    let router = if web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
+    let router = if tidemap_web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
     let page = Arc::new(MetricsPage { catalog, metrics, access, texts: Default::default() });
     let unread = UnreadReplies::default();
     let router = router

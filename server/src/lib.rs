@@ -4,44 +4,27 @@
 //! Invariant: every end of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be
 //! used, 69 a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 any other error.
 
-mod access;
-mod backups;
-mod catalog;
-mod clock;
-mod cluster;
 mod cluster_figures;
 mod command_texts;
-mod config;
-mod connections;
 mod daemon;
 mod engine_check;
 mod http;
 mod index_print;
-mod ingest;
-mod jobs;
-mod model_cache;
-mod peers;
-mod random_id;
 mod reload;
 mod repair;
-mod rpc;
 mod scrubber;
-mod secret_file;
-mod shares;
 mod silent_producers;
-mod statistics;
 mod storage_watch;
-mod task;
-mod telemetry;
-mod update_worth;
-mod web;
 
 use std::{process::ExitCode, sync::Arc};
 
 use clap::Parser as _;
+use tidemap_base::{
+    access,
+    config::{self, BackupCommand, Flags, OfflineCommand, Settings},
+    telemetry,
+};
 use tidemap_store::disk::Disk;
-
-use crate::config::{BackupCommand, Flags, OfflineCommand, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. All data that must survive a power cut goes through `disk`.

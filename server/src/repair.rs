@@ -6,14 +6,13 @@
 
 use std::{io::Write, path::Path, process::ExitCode};
 
-use tidemap_model::time::format_rfc3339;
-use tidemap_store::{BackupError, Checked, Mode, Outcome, check_with};
-
-use crate::{
-    catalog::try_restore,
+use tidemap_base::{
     clock::{Clock as _, SystemClock},
     random_id::random_id,
 };
+use tidemap_ingest::catalog::try_restore;
+use tidemap_model::time::format_rfc3339;
+use tidemap_store::{BackupError, Checked, Mode, Outcome, check_with};
 
 /// Checks a data folder, and prints the faults.
 pub(crate) fn run_check(directory: &Path, repair: bool, accept_loss: bool) -> ExitCode {

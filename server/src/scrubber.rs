@@ -11,10 +11,9 @@ use std::{
     time::Duration,
 };
 
+use tidemap_base::config::Settings;
 use tidemap_store::{Store, Trouble};
 use tracing::{error, info, warn};
-
-use crate::config::Settings;
 
 /// The longest wait before the thread checks whether it has to stop.
 const STEP: Duration = Duration::from_millis(200);

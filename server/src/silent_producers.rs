@@ -6,17 +6,14 @@
 
 use std::{collections::BTreeMap, fmt::Write as _, time::Duration};
 
+use tidemap_base::telemetry::descriptions::{PRODUCER_SILENT, meaning};
+use tidemap_ingest::{
+    catalog::Catalog,
+    handle::OpenProgress,
+    protocol::{Command, KnownProducer},
+};
 use tidemap_store::MapId;
 use tokio::{sync::Mutex, sync::oneshot, time::Instant};
-
-use crate::{
-    catalog::Catalog,
-    ingest::{
-        handle::OpenProgress,
-        protocol::{Command, KnownProducer},
-    },
-    telemetry::descriptions::{PRODUCER_SILENT, meaning},
-};
 
 /// A producer that has sent nothing for longer has left, and is not reported.
 const CONTACT_WITHIN_NANOS: i64 = 7 * 86_400 * 1_000_000_000;

@@ -9,6 +9,9 @@ use std::{
     time::Duration,
 };
 
+use tidemap_base::task::Task;
+use tidemap_ingest::catalog::Catalog;
+use tidemap_rpc::serve::Health;
 use tidemap_store::{Repair, Store};
 use tokio::{
     sync::{mpsc, watch},
@@ -16,7 +19,7 @@ use tokio::{
 };
 use tracing::{info, warn};
 
-use crate::{catalog::Catalog, http::readiness, rpc::serve::Health, task::Task};
+use crate::http::readiness;
 
 const EVERY: Duration = Duration::from_secs(1);
 
@@ -44,7 +47,7 @@ pub(crate) async fn run(
         drop(catalog);
         recover_index(&store, &mut index).await;
         // A disk that hangs delays only the next check.
-        if let Ok(Some(error)) = crate::task::blocking(move || store.verify()).await
+        if let Ok(Some(error)) = tidemap_base::task::blocking(move || store.verify()).await
             && fatal.send(error.to_string()).is_err()
         {
             return;
@@ -62,7 +65,7 @@ async fn recover_index(store: &Arc<Store>, under_way: &mut Option<Task<()>>) {
     }
     if store.is_index_recoverable() {
         let store = Arc::clone(store);
-        *under_way = Some(crate::task::blocking(move || {
+        *under_way = Some(tidemap_base::task::blocking(move || {
             for repair in store.recover_index() {
                 match repair {
                     Repair::IndexRecovered => info!("{repair}"),

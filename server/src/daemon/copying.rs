@@ -9,20 +9,19 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tidemap_base::task::Task;
 use tidemap_cluster::replica::shorten;
-use tidemap_map::{name::MapName, spec::MapSpec};
-use tidemap_store::MapId;
-use tracing::{info, warn};
-
-use crate::{
+use tidemap_ingest::{
     catalog::{Catalog, CatalogError},
     cluster::{
         Cluster,
         copies::{CopyCause, LogStart},
     },
-    rpc::copies::CopyClient,
-    task::Task,
 };
+use tidemap_map::{name::MapName, spec::MapSpec};
+use tidemap_rpc::copies::CopyClient;
+use tidemap_store::MapId;
+use tracing::{info, warn};
 
 /// Time after which a copy that no member could give is requested again.
 const AGAIN_AFTER: Duration = Duration::from_secs(10);
@@ -131,7 +130,7 @@ impl CopyNotes {
         }
         let (uid, is_replacement) = (order.uid, order.replaces.is_some());
         let (cluster, catalog, client) = (cluster.clone(), catalog.clone(), Arc::clone(&self.client));
-        let ended = crate::task::spawn(async move { take_copy(&cluster, &catalog, &client, order).await });
+        let ended = tidemap_base::task::spawn(async move { take_copy(&cluster, &catalog, &client, order).await });
         self.running.insert(uid, RunningCopy { ended, is_replacement });
     }
 
@@ -191,7 +190,7 @@ impl CopyNotes {
         }
         self.shortened.insert(uid, (Instant::now(), shortening.covered));
         let (cluster, name) = (cluster.clone(), name.clone());
-        drop(crate::task::spawn(async move {
+        drop(tidemap_base::task::spawn(async move {
             for _ in 0..STEPS_MAX {
                 match shorten(cluster.engine(), &shortening).await {
                     Ok(0) => break,
@@ -227,7 +226,7 @@ async fn take_copy(cluster: &Cluster, catalog: &Catalog, client: &CopyClient, or
     };
     for (member, address) in donors {
         let (store, of_map) = (Arc::clone(&catalog.context().store), spec.clone());
-        let copy = match crate::task::blocking(move || store.begin_copy(&of_map, uid, replaces)).await {
+        let copy = match tidemap_base::task::blocking(move || store.begin_copy(&of_map, uid, replaces)).await {
             Ok(Ok(copy)) => copy,
             Ok(Err(error)) => {
                 why = error.to_string();

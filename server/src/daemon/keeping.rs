@@ -9,6 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tidemap_base::task::Task;
 use tidemap_cluster::{
     assignment::{self, Candidate},
     catalogue::{self, ClusterMap, Listing},
@@ -16,17 +17,16 @@ use tidemap_cluster::{
     lease::Lease,
     membership::NameTaken,
 };
+use tidemap_ingest::{
+    catalog::{Catalog, CatalogError},
+    cluster::Cluster,
+};
 use tidemap_map::name::MapName;
+use tidemap_rpc::{copies::CopyClient, forks};
 use tidemap_store::{decode_spec, encode_spec};
 use tracing::{info, warn};
 
 use super::copying::CopyNotes;
-use crate::{
-    catalog::{Catalog, CatalogError},
-    cluster::Cluster,
-    rpc::{copies::CopyClient, forks},
-    task::Task,
-};
 
 /// Interval at which the catalogue is read.
 const EVERY: Duration = Duration::from_secs(1);

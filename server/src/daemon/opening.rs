@@ -4,6 +4,19 @@
 
 use std::{os::unix::fs::PermissionsExt as _, path::Path, sync::Arc};
 
+use tidemap_base::{
+    clock::SystemClock,
+    config::Settings,
+    random_id::random_id,
+    telemetry::{self, traces::Span},
+};
+use tidemap_ingest::{
+    catalog::{Catalog, RESTORED_FIRST_BYTES, UnopenedMap},
+    cluster::Cluster,
+    jobs::Jobs,
+    update_turns::UpdateTurns,
+    writer::{Context, ForkedMap},
+};
 use tidemap_map::{live_map::PendingLimits, update::UPDATE_READINGS_MAX};
 use tidemap_model::time::format_rfc3339;
 use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
@@ -11,19 +24,6 @@ use tokio::sync::mpsc;
 use tracing::{error, info, warn};
 
 use super::DaemonError;
-use crate::{
-    catalog::{Catalog, RESTORED_FIRST_BYTES, UnopenedMap},
-    clock::SystemClock,
-    cluster::Cluster,
-    config::Settings,
-    ingest::{
-        update_turns::UpdateTurns,
-        writer::{Context, ForkedMap},
-    },
-    jobs::Jobs,
-    random_id::random_id,
-    telemetry::{self, traces::Span},
-};
 
 /// Opens the store of the settings, on a blocking thread.
 ///
@@ -32,7 +32,7 @@ use crate::{
 pub(super) async fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Arc<Store>, DaemonError> {
     let for_store = settings.clone();
     let open = move || open_now(&for_store, disk);
-    let store = crate::task::blocking(open).await.map_err(anyhow::Error::from)??;
+    let store = tidemap_base::task::blocking(open).await.map_err(anyhow::Error::from)??;
     close_to_others(&settings.data_dir);
     telemetry::report_build(store.store_id());
     report_state(&store, &settings.data_dir);
@@ -91,7 +91,7 @@ pub(super) async fn open_catalog(
     };
     let max_maps = settings.max_maps;
     let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);
-    let (catalog, rest) = crate::task::blocking(open).await.map_err(anyhow::Error::from)??;
+    let (catalog, rest) = tidemap_base::task::blocking(open).await.map_err(anyhow::Error::from)??;
     let catalog = Arc::new(catalog);
     follow_commits(&catalog);
     Ok((catalog, rest))

@@ -6,6 +6,22 @@ use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use anyhow::Context as _;
 use rustix::process::{Resource, getrlimit, setrlimit};
+use tidemap_base::{
+    access::keyring::Keyring,
+    config::Settings,
+    connections::{
+        ConnectionLimits, Connections, HTTP_CONNECTIONS, Port,
+        accept::{Accepted, Acceptor, Listener},
+        socket::listen_unix,
+        tls::{Protocol, Tls, TlsFiles},
+    },
+};
+use tidemap_ingest::{
+    catalog::Catalog,
+    peers::{PeerTlsFiles, SharedMaps},
+};
+use tidemap_rpc::{guard::Access, maintenance::PageAddress, serve::Services};
+use tidemap_web::{KnownHosts, Recordings};
 use tokio::{
     net::TcpListener,
     sync::{mpsc, watch},
@@ -14,23 +30,7 @@ use tokio::{
 use tracing::{info, warn};
 
 use super::DaemonError;
-use crate::{
-    access::keyring::Keyring,
-    catalog::Catalog,
-    config::Settings,
-    connections::{
-        ConnectionLimits, Connections, HTTP_CONNECTIONS, Port,
-        accept::{Accepted, Acceptor, Listener},
-        socket::listen_unix,
-        tls::{Protocol, Tls, TlsFiles},
-    },
-    http,
-    peers::{PeerTlsFiles, SharedMaps},
-    reload::FileWatch,
-    rpc::{self, guard::Access, maintenance::PageAddress, serve::Services},
-    storage_watch,
-    web::{self, KnownHosts, Recordings},
-};
+use crate::{http, reload::FileWatch, storage_watch};
 
 /// Time limit for connections to close after their streams got a goodbye.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
@@ -86,7 +86,7 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
     let followed = FileWatch::new("tokens", vec![path.clone()]);
     let keyring = Keyring::open(path.clone()).map_err(|error| DaemonError::Settings(error.to_string()))?;
     let followed_by = keyring.clone();
-    crate::task::spawn(followed.follow(move || followed_by.reload()));
+    tidemap_base::task::spawn(followed.follow(move || followed_by.reload()));
     Ok(Access::Tokens(keyring))
 }
 
@@ -105,7 +105,7 @@ fn web(
         Access::Anybody | Access::Readers => Access::Readers,
     };
     let recordings = Recordings::new(settings, services, access.clone(), stopping).context("folder of recordings")?;
-    web::router(&services.guarded(access.clone()), services.guarded_queries(access), recordings, hosts)
+    tidemap_web::router(&services.guarded(access.clone()), services.guarded_queries(access), recordings, hosts)
 }
 
 /// The names by which browsers may reach the HTTP port; any name, where tokens are required.
@@ -157,14 +157,16 @@ impl Ports {
         let has_tls = http_tls.is_some() && !is_local;
         let page = PageAddress { address: http_address, has_tls };
         let shared = shared_maps(settings, catalog)?;
-        let services = rpc::serve::services(Arc::clone(catalog), settings, page, shared, stopping.clone()).await;
+        let services =
+            tidemap_rpc::serve::services(Arc::clone(catalog), settings, page, shared, stopping.clone()).await;
         services.health().set_ready(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
-        crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
+        tidemap_base::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
         let web = web(&services, &access, settings, stopping.clone())?;
         let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
         let grpc_is_local = grpc_address.ip().is_loopback();
-        let grpc = rpc::serve::serve(connections, access.clone(), services, grpc_is_local, ports_stopping.clone());
+        let grpc =
+            tidemap_rpc::serve::serve(connections, access.clone(), services, grpc_is_local, ports_stopping.clone());
         let listeners = accept_http(http, http_tls.clone().filter(|_| has_tls));
         let access = if is_local { Access::Anybody } else { access };
         let http = http::serve(listeners, Arc::clone(catalog), metrics, access, web, stopping, ports_stopping);
@@ -177,7 +179,7 @@ impl Ports {
         );
         let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
         if !tls.is_empty() {
-            crate::task::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
+            tidemap_base::task::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
         }
         Ok(Self { grpc, http, grpc_address, http_address, stop })
     }

@@ -6,9 +6,8 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::body::Bytes;
+use tidemap_base::task::NoResult;
 use tokio::{sync::Mutex, time::Instant};
-
-use crate::task::NoResult;
 
 /// The pause after a text, as a multiple of the time for which it was made.
 const PAUSES: u32 = 3;
@@ -41,7 +40,7 @@ impl SharedText {
         let requested = Instant::now();
         let last = Arc::clone(&self.0);
         // The task is separate: work that was begun has the lock until it ends.
-        let made = crate::task::spawn(async move {
+        let made = tidemap_base::task::spawn(async move {
             let mut last = last.lock_owned().await;
             if let Some(made) = last.as_ref() {
                 if made.began >= requested {
@@ -52,7 +51,7 @@ impl SharedText {
             let began = Instant::now();
             let gathered = gather.await;
             let writes = Instant::now();
-            let text = Bytes::from(crate::task::blocking(move || write(gathered)).await?);
+            let text = Bytes::from(tidemap_base::task::blocking(move || write(gathered)).await?);
             let next = Instant::now() + (writes.elapsed() * PAUSES).min(PAUSE_MAX);
             *last = Some(Made { began, next, text: text.clone() });
             Ok(text)

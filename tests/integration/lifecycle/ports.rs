@@ -99,7 +99,7 @@ async fn every_metric_has_an_explanation_and_the_important_ones_are_there() {
 fn the_dashboard_and_the_alerts_name_metrics_that_exist_and_each_alert_is_explained() {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../");
     let read = |path: &str| std::fs::read_to_string(root.to_owned() + path).expect(path);
-    let described = read("server/src/telemetry/descriptions.rs");
+    let described = read("server/base/src/telemetry/descriptions.rs");
     for file in ["deploy/monitoring/alerts.yaml", "deploy/monitoring/dashboard.json"] {
         let names = named_metrics(&read(file));
         assert!(names.len() > 10, "{file} names {names:?}");
