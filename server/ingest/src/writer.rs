@@ -30,6 +30,7 @@ use std::{
 };
 
 use arc_swap::ArcSwap;
+use tidemap_base::clock::Clock;
 use tidemap_map::{
     event::UpdateDone,
     ids::ProducerId,
@@ -43,8 +44,6 @@ use tokio::sync::{oneshot, watch};
 use tracing::warn;
 
 #[cfg(test)]
-use tidemap_base::clock::Clock;
-
 use super::handle::MapHandle;
 use super::{
     anomaly_feed::AnomalyFeed,
