@@ -121,6 +121,8 @@ type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 mod copies;
 pub mod erasure;
 mod fork;
+#[cfg(feature = "test-support")]
+mod on_log;
 mod restore;
 #[cfg(test)]
 mod tests;

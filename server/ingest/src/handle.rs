@@ -242,13 +242,6 @@ impl MapHandle {
         self.view.load().generation()
     }
 
-    /// Does the same as [`WriterEndpoints::replica_listener`].
-    #[cfg(test)]
-    pub fn replica_listener(&self) -> ReplicaListener {
-        let commands = self.commands.clone();
-        Arc::new(move |event| drop(commands.send(Command::Replica(event))))
-    }
-
     /// Sends the writer a command. `false`: the writer has stopped.
     pub fn send(&self, command: Command) -> bool {
         self.commands.send(command).is_ok()

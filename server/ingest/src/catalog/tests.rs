@@ -1,7 +1,5 @@
 //! Tests the catalogue on a real store: callers that go away, and a failing store.
 
-mod on_log;
-
 use std::{path::Path, time::Duration};
 
 use tidemap_base::clock::SystemClock;

@@ -12,7 +12,7 @@ use std::{
 
 use tidemap_base::{clock::SystemClock, config::Settings};
 use tidemap_cluster::replica::ReplicaEvent;
-use tidemap_ingest::{catalog::UnopenedMap, jobs::Jobs, writer::Context};
+use tidemap_ingest::{catalog::UnopenedMap, jobs::Jobs, protocol::Command, writer::Context};
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_model::Zone;
 use tidemap_proto::v1::{
@@ -179,7 +179,7 @@ impl Member {
             ReplicaEvent::Writing { epoch } => MapRole::Writing { epoch: *epoch },
             other => panic!("no role: {other:?}"),
         };
-        handle.replica_listener()(event);
+        handle.send(Command::Replica(event));
         handle.watch_role().wait_for(|now| *now == role).await.expect("the map is open");
     }
 

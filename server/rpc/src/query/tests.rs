@@ -14,7 +14,7 @@ use tidemap_grid::{
 };
 use tidemap_ingest::{
     handle::MapHandle,
-    intake::{Intake, IntakeLimits, tests::TakeSent as _},
+    intake::{Intake, IntakeLimits},
     jobs::Jobs,
     protocol::{Command, Hello, ObservationBatch, SessionEvent, StreamData, Welcome},
     writer::Context,
@@ -27,7 +27,7 @@ use tidemap_map::{
 use tidemap_model::{EnabledModels, Zone};
 use tidemap_proto::{
     convert::{
-        scans::{ScanLimits, TileTable, batch, split},
+        scans::{ScanLimits, TileTable, batch, scans_from_wire, split},
         time::timestamp,
     },
     v1::predict_grid_response::Message,
@@ -244,7 +244,7 @@ impl Robot {
         let times: Vec<i64> = scans.iter().map(|(time, _)| *time).collect();
         let encoded = scans.iter().map(|(_, shown)| self.encoder.encode(shown).expect("tiles")).collect();
         for message in split(batch(self.sent + 1, &times, encoded), 1 << 20) {
-            self.intake.begin_sent_scans(message).expect("well formed");
+            self.intake.begin_scans(scans_from_wire(message).expect("well formed")).expect("well formed");
             while let Some(batch) = self.intake.next_scans().expect("well formed") {
                 self.sent = batch.span.last;
                 let session = self.opened.session;

@@ -46,7 +46,8 @@ impl Replica {
         restored.log = log.unwrap_or(restored.log);
         let log = Arc::clone(&restored.log);
         let handle = start(context.clone(), id, restored).expect("a thread");
-        let listener = handle.replica_listener();
+        let notified = Arc::clone(&handle);
+        let listener: ReplicaListener = Arc::new(move |event| drop(notified.send(Command::Replica(event))));
         Self { context, clock, id, handle, forks, fatal, log, listener }
     }
 

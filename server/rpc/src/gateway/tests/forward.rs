@@ -6,6 +6,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_ingest::protocol::Command;
 use tidemap_map::event::Event;
 use tidemap_store::{AppendError, Done, EventLog};
 use tokio::{sync::oneshot, task::JoinSet};
@@ -113,7 +114,7 @@ impl Members {
     async fn feed(&self, index: usize, fed: &mut u64, last: u64) {
         let events = self.log.between(*fed, last);
         let (applied, is_applied) = oneshot::channel();
-        self.members[index].handle().replica_listener()(ReplicaEvent::Followed { events, applied });
+        self.members[index].handle().send(Command::Replica(ReplicaEvent::Followed { events, applied }));
         is_applied.await.expect("applied");
         *fed = last;
     }

@@ -1,5 +1,6 @@
 //! Queries that are fresh enough, and never show less than their client has seen.
 
+use tidemap_ingest::protocol::Command;
 use tidemap_map::event::{Event, NewState, StateKind};
 use tidemap_map::{ids::StateId, name::StateName};
 use tokio::sync::oneshot;
@@ -22,7 +23,7 @@ impl Member {
         };
         let (applied, is_applied) = oneshot::channel();
         let events = (0..).zip(names).map(event).collect();
-        self.handle().replica_listener()(ReplicaEvent::Followed { events, applied });
+        self.handle().send(Command::Replica(ReplicaEvent::Followed { events, applied }));
         is_applied.await.expect("applied");
     }
 }

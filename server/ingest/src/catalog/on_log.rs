@@ -1,12 +1,23 @@
-//! A map on a log of a test's own, which daemons share.
+//! A map on a log of a test's own, which daemons share; only in builds for tests.
+//!
+//! Invariant: the map begins as a follower.
 
+use std::sync::Arc;
+
+use tidemap_map::spec::MapSpec;
 use tidemap_store::EventLog;
 
-use super::*;
-use crate::writer::{RestoredMap, start_in};
+use super::{ByName, Catalog, restore_map};
+use crate::{
+    handle::MapHandle,
+    writer::{RestoredMap, start_in},
+};
 
 impl Catalog {
     /// Creates a map that begins as a follower, and whose events go to this log.
+    ///
+    /// # Panics
+    /// The store cannot create it.
     pub fn create_on(&self, spec: MapSpec, log: Arc<dyn EventLog>) -> Arc<MapHandle> {
         let (context, spec) = (self.context.clone(), Arc::new(spec));
         let id = context.store.create_map(&spec).expect("created");
