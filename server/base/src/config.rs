@@ -127,7 +127,7 @@ settings! {
     "log, on stderr" {
         /// Format of the log: "text" for people, "json" for one object a line.
         log_format: LogFormat = LogFormat::Text;
-        /// Filter of the log: error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
+        /// Filter of the log: error, warn, info, debug, trace, or a filter such as "info,tidemap_ingest=debug".
         log_level: String = "info".to_owned();
     }
     "metrics: see the page Alerts of the guide" {

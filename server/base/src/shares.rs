@@ -69,8 +69,11 @@ impl Share {
 /// The bounds of the shares that have settings: the total, and the part of one client.
 #[derive(Clone, Copy, Debug)]
 pub struct ShareLimits {
+    /// Requests that run at once.
     pub requests: (usize, usize),
+    /// Open streams of observations.
     pub streams: (usize, usize),
+    /// Watches of anomalies.
     pub watches: (usize, usize),
     /// The total; a client has half of it.
     pub table_bytes: usize,
@@ -199,6 +202,7 @@ impl Taken {
 }
 
 impl Shares {
+    /// The shares with these bounds; none is taken.
     pub fn new(limits: ShareLimits) -> Self {
         Self { limits, taken: Arc::default() }
     }

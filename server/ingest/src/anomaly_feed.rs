@@ -50,6 +50,7 @@ pub struct FeedScans {
 /// A message to the watchers.
 #[derive(Debug)]
 pub enum FeedMessage {
+    /// Observations that the map has applied.
     Applied(FeedPiece),
     /// Scans, only for watchers of cells.
     Scanned(FeedScans),
@@ -105,7 +106,7 @@ impl Default for AnomalyFeed {
 impl AnomalyFeed {
     /// Subscribes a watcher; returns the receiver, and the number of observations sent before. If there were watchers
     /// already, the new one also receives observations that are applied and not public yet.
-    pub fn listen(&self) -> (FeedReceiver, u64) {
+    pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.sent)
     }
 
@@ -122,7 +123,7 @@ impl AnomalyFeed {
     }
 
     /// Collects observations that were applied.
-    pub fn applied(&mut self, observations: &Observations) {
+    pub(crate) fn applied(&mut self, observations: &Observations) {
         if self.sender.receiver_count() == 0 {
             return;
         }
@@ -167,7 +168,7 @@ impl AnomalyFeed {
     }
 
     /// Notifies the watchers that the map stops.
-    pub fn end(&self, ending: Ending) {
+    pub(crate) fn end(&self, ending: Ending) {
         // There may be no watcher.
         let message = Arc::new(FeedMessage::End(ending));
         let _ = self.sender.send(Arc::clone(&message));

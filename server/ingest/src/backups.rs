@@ -31,6 +31,7 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// The reason why a folder cannot be used for a backup.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum TargetError {
     #[error(
         "{path:?} is not below {}, where backups of this daemon are written: name a folder such as \"by-hand\"",

@@ -37,6 +37,7 @@ pub const RESTORED_FIRST_BYTES: u64 = 8 << 20;
 
 /// The reason why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum CatalogError {
     #[error("map {:?} exists already", .0.as_str())]
     Exists(MapName),
@@ -110,9 +111,11 @@ impl CatalogError {
 /// A map that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnavailableMap {
+    /// Number of the map in the store.
     pub id: MapId,
     /// Name of the map; its number where the name is not known.
     pub name: String,
+    /// The reason, for people.
     pub reason: String,
 }
 

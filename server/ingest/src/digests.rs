@@ -48,24 +48,24 @@ pub(crate) struct Digests {
 
 impl Digests {
     /// `logged`: the last update whose result the log contains, if it contains one.
-    pub fn new(logged: Option<UpdateDone>) -> Self {
+    pub(crate) fn new(logged: Option<UpdateDone>) -> Self {
         Self { logged, ..Self::default() }
     }
 
     /// Records the beginning of an update. The results of earlier updates no longer need to be logged.
-    pub fn begin(&mut self, generation: u64) {
+    pub(crate) fn begin(&mut self, generation: u64) {
         self.begun = generation;
     }
 
     /// Records the end of the replica's own update.
-    pub fn made(&mut self, own: UpdateDone) -> Option<DigestVerdict> {
+    pub(crate) fn made(&mut self, own: UpdateDone) -> Option<DigestVerdict> {
         self.own = Some(own);
         self.verdict = None;
         self.compare()
     }
 
     /// Records that the log contains the end of the writer's update.
-    pub fn read(&mut self, logged: UpdateDone) -> Option<DigestVerdict> {
+    pub(crate) fn read(&mut self, logged: UpdateDone) -> Option<DigestVerdict> {
         self.logged = Some(logged);
         self.compare()
     }
@@ -82,7 +82,7 @@ impl Digests {
     }
 
     /// The newest digest; `None` until an update has ended here.
-    pub fn status(&self) -> Option<DigestStatus> {
+    pub(crate) fn status(&self) -> Option<DigestStatus> {
         let is_equal = match self.verdict {
             Some(DigestVerdict::Equal) => Some(true),
             Some(DigestVerdict::Differs { .. }) => Some(false),

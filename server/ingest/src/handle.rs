@@ -63,7 +63,9 @@ pub struct WriterEndpoints {
     pub(super) inbox: mpsc::Receiver<Command>,
     pub(super) saturated: watch::Sender<bool>,
     pub(super) tile_bytes: Arc<AtomicU64>,
+    /// The progress of the start of the map.
     pub opening: watch::Sender<OpenProgress>,
+    /// The role of this daemon for the map.
     pub role: watch::Sender<MapRole>,
     pub(super) digest: watch::Sender<Option<DigestStatus>>,
     pub(super) shown: watch::Sender<Shown>,
@@ -237,8 +239,8 @@ impl MapHandle {
     }
 
     /// Number of the generation in the view.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
-    pub fn generation(&self) -> u64 {
+    #[cfg(test)]
+    pub(crate) fn generation(&self) -> u64 {
         self.view.load().generation()
     }
 

@@ -49,6 +49,7 @@ const TABLE_BYTES_MIN: usize = 1 << 20;
 
 /// The reason why a message ends its stream.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum IntakeError {
     #[error(transparent)]
     Invalid(#[from] InvalidField),

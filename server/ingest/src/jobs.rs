@@ -77,6 +77,7 @@ impl Phase {
 /// The status of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JobStatus {
+    /// The phase of the job.
     pub phase: Phase,
     /// States and tiles with observations to learn.
     pub states_total: u64,
@@ -100,9 +101,11 @@ impl JobCause {
 /// An update, an erasure or a backup.
 #[derive(Debug)]
 pub struct UpdateJob {
+    /// Number of the job.
     pub id: u64,
     /// The map of the job; `None`: all maps.
     pub map: Option<MapName>,
+    /// The cause of the update.
     pub cause: JobCause,
     /// Time of the request, nanoseconds UTC.
     pub created_nanos: i64,
@@ -324,6 +327,7 @@ impl Jobs {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
+    /// The job of this number; `None`: no such job, or it ended long ago.
     pub fn get(&self, id: u64) -> Option<Arc<UpdateJob>> {
         self.list().into_iter().find(|job| job.id == id)
     }

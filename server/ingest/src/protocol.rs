@@ -51,20 +51,37 @@ pub enum Command {
     /// Open a stream.
     Hello(Hello),
     /// Take the data that a stream hands over.
-    StreamData { session: SessionId, data: StreamData },
+    StreamData {
+        /// The session of the stream.
+        session: SessionId,
+        /// The data.
+        data: StreamData,
+    },
     /// Update the map.
     Update {
         /// Learn observations before this time; `None`: all.
         until_nanos: Option<i64>,
+        /// The cause of the update.
         cause: UpdateCause,
+        /// The job that shows the progress.
         job: Arc<UpdateJob>,
     },
     /// The committer has completed the oldest append.
     Committed(Result<u64, AppendError>),
     /// The running update has ended; `Err`: it failed.
-    UpdateDone { job: Arc<UpdateJob>, result: Result<Box<UpdateResult>, String> },
+    UpdateDone {
+        /// The job of the update.
+        job: Arc<UpdateJob>,
+        /// The result.
+        result: Result<Box<UpdateResult>, String>,
+    },
     /// The digest of an update's result, or the reason why there is none.
-    Digested { generation: u64, digest: Result<Digest, String> },
+    Digested {
+        /// Number of the generation.
+        generation: u64,
+        /// The digest.
+        digest: Result<Digest, String>,
+    },
     /// An event from the replica of a shared log.
     Replica(ReplicaEvent),
     /// A save has ended; `Err`: it failed, and returns the snapshot.

@@ -23,7 +23,7 @@ pub(crate) struct TileTotals {
 
 impl TileTotals {
     /// Counts the tiles of a view. An unreadable tile counts as a tile without changes.
-    pub fn of(view: &MapView) -> TileTotals {
+    pub(crate) fn of(view: &MapView) -> TileTotals {
         let mut totals = TileTotals::default();
         let Some(grid) = view.grid() else { return totals };
         for index in 0..u32::try_from(grid.tiles()).unwrap_or(u32::MAX) {

@@ -83,9 +83,13 @@ use update_run::Updates;
 /// The resources of the daemon that a writer uses.
 #[derive(Clone, Debug)]
 pub struct Context {
+    /// The store of the daemon.
     pub store: Arc<Store>,
+    /// The updates that wait, run or have ended.
     pub jobs: Arc<Jobs>,
+    /// The clock.
     pub clock: Arc<dyn Clock>,
+    /// The turns of updates.
     pub update_turns: Arc<UpdateTurns>,
     /// Receives a message when storage has failed for good.
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,

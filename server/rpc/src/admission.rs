@@ -61,12 +61,12 @@ pub(crate) struct Admission {
 
 impl Admission {
     /// Creates an admission whose requests take from these shares.
-    pub fn new(shares: Shares, peers: Option<PeerSecret>) -> Self {
+    pub(crate) fn new(shares: Shares, peers: Option<PeerSecret>) -> Self {
         Self { shares, peers }
     }
 
     /// Returns a service for callers with this access.
-    pub fn service<S>(&self, inner: S, access: Access) -> AdmittedService<S> {
+    pub(crate) fn service<S>(&self, inner: S, access: Access) -> AdmittedService<S> {
         AdmittedService { inner, access, shares: self.shares.clone(), peers: self.peers.clone() }
     }
 }

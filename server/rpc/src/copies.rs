@@ -118,6 +118,7 @@ fn give(catalog: &Catalog, id: MapId, parts: &PartSender, _permit: OwnedSemaphor
 
 /// The reason why a daemon has not sent a copy.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum FetchError {
     #[error(transparent)]
     Link(#[from] NoLink),
@@ -149,6 +150,7 @@ pub struct CopyClient {
 }
 
 impl CopyClient {
+    /// A client for the members of a cluster that share maps.
     pub fn new(shared: SharedMaps, secret: PeerSecret) -> Self {
         Self { links: Links::new(shared.tls, shared.tokens_in_clear), secret }
     }

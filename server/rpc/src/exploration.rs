@@ -67,7 +67,7 @@ pub(crate) struct Explorations {
 
 impl Explorations {
     /// Creates the service with these limits. The trainer of `queries` trains its models.
-    pub fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits, routes: Arc<Routes>) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits, routes: Arc<Routes>) -> Self {
         // A plan keeps all processors busy; with more plans at once, each would only wait for the others.
         Self { catalog, limits, trainer: queries.trainer(), permits: Permits::new(processors().max(2)), routes }
     }

@@ -60,6 +60,7 @@ pub(crate) struct Maintenance {
 /// The address at which the daemon serves its page.
 #[derive(Clone, Copy, Debug)]
 pub struct PageAddress {
+    /// The address of the port.
     pub address: SocketAddr,
     /// Whether the page is served over HTTPS.
     pub has_tls: bool,

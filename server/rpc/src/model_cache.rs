@@ -56,7 +56,7 @@ pub(crate) struct FlowKey {
 
 impl FlowKey {
     /// The key of a flow of two vectors.
-    pub fn new(map: MapId, handle: u64, generation: u64, states: [StateId; 2], request: &FlowRequest) -> Self {
+    pub(crate) fn new(map: MapId, handle: u64, generation: u64, states: [StateId; 2], request: &FlowRequest) -> Self {
         let mut raster = [f64::NAN.to_bits(); 5];
         let corners = request.region_m.iter().flat_map(|corners| corners.as_flattened());
         // Adding 0 makes -0 a 0.
@@ -138,13 +138,13 @@ struct CacheEntries<T, K> {
 
 impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
     /// Keeps at most `max` models, at least one, besides those that are being trained.
-    pub fn new(max: usize) -> Self {
+    pub(crate) fn new(max: usize) -> Self {
         let max = max.max(1);
         Self { max, entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }) }
     }
 
     /// The model, if it is in the cache.
-    pub fn get(&self, key: &K) -> Option<Arc<T>> {
+    pub(crate) fn get(&self, key: &K) -> Option<Arc<T>> {
         self.with_entries(|entries| entries.used(key)?.model.get().cloned())
     }
 

@@ -45,6 +45,7 @@ const SMALL_PREDICTIONS: u64 = 50_000;
 /// A large request is refused if it would wait for longer than this: a long queue helps nobody.
 const LARGE_WITHIN: Duration = Duration::from_secs(10);
 
+/// The service of queries.
 #[derive(Debug)]
 pub struct Queries {
     catalog: Arc<Catalog>,

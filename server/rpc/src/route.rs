@@ -44,7 +44,7 @@ pub(crate) struct Routes {
 
 impl Routes {
     /// Creates the services with this limit. The trainer of `queries` trains their models.
-    pub fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, trainer: queries.trainer(), permits: Permits::new(processors().max(2)) }
     }
 

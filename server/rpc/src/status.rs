@@ -52,6 +52,7 @@ const TAIL_CHARS: usize = 600;
 
 /// All errors that a request can end with.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum RpcError {
     #[error(transparent)]
     Field(#[from] InvalidField),

@@ -23,7 +23,7 @@ const WITHIN: Duration = Duration::from_secs(1);
 
 /// The expected gain of learning the pending observations of a map. `None`: the writer does not reply at once, or an
 /// update ended meanwhile.
-pub async fn of_map(handle: &Arc<MapHandle>) -> Option<UpdateWorth> {
+pub(crate) async fn of_map(handle: &Arc<MapHandle>) -> Option<UpdateWorth> {
     if handle.view().pending() == 0 {
         return Some(UpdateWorth::default());
     }

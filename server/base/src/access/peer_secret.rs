@@ -31,6 +31,7 @@ impl fmt::Debug for PeerSecret {
 }
 
 impl PeerSecret {
+    /// A secret from its text.
     pub fn new(text: String) -> Self {
         let hash = hash(text.as_bytes());
         Self { text, hash }

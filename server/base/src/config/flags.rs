@@ -60,7 +60,7 @@ pub struct Flags {
     #[arg(long, value_name = "FORM")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_format: Option<LogFormat>,
-    /// Log filter: error, warn, info, debug, trace, or a filter such as tidemapd=debug [default: info].
+    /// Log filter: error, warn, info, debug, trace, or a filter such as tidemap=debug [default: info].
     #[arg(long, value_name = "FILTER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_level: Option<String>,

@@ -80,6 +80,7 @@ pub struct TlsFiles {
 
 /// The reason why files of TLS cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum TlsError {
     #[error("setting {setting}: {} cannot be read: {source}", .path.display())]
     Read { setting: &'static str, path: PathBuf, source: io::Error },

@@ -41,7 +41,7 @@ fn target_and_level(directive: &str) -> Option<(&str, &str)> {
 /// # Errors
 /// A part is neither a level nor a level of a part of the program, or nothing of the daemon would be logged.
 pub(super) fn parse(filter: &str) -> anyhow::Result<EnvFilter> {
-    let advice = "it must be off, error, warn, info, debug or trace, or a filter such as info,tidemapd::ingest=debug";
+    let advice = "it must be off, error, warn, info, debug or trace, or a filter such as info,tidemap_ingest=debug";
     let mut names_daemon = false;
     for directive in directives(filter) {
         if is_level(directive) {
@@ -84,7 +84,7 @@ mod tests {
             "tidemapd=inf",
             "tidemapd=",
             "=info",
-            "info,tidemapd::ingest=debgu",
+            "info,tidemap_ingest=debgu",
             "info debug",
             "info;debug",
             "tidmapd=debug",
@@ -114,8 +114,8 @@ mod tests {
             "Warn",
             "tidemapd=debug",
             "info,h2=off",
-            "info,tidemapd::ingest=debug",
-            "info, tidemapd::ingest=debug",
+            "info,tidemap_ingest=debug",
+            "info, tidemap_ingest=debug",
             "tidemap_store=trace,warn",
             "[request]=debug",
         ];

@@ -24,6 +24,7 @@ const ATTEMPTS: usize = 5;
 
 /// The reason why an operator's request is refused.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum OperationError {
     #[error("this daemon is not a member of a cluster: its config file has no section [cluster]")]
     NoCluster,
@@ -60,9 +61,11 @@ pub enum OperationError {
 /// A map as the catalogue lists it.
 #[derive(Clone, Debug)]
 pub struct ListedMap {
+    /// Name of the map.
     pub name: String,
     /// Number of the map; `None`: the entry of the map is damaged.
     pub uid: Option<u64>,
+    /// The member that an operator chose as the writer.
     pub pinned: Option<String>,
     /// Members that hold the map, in the order in which they may become its writer.
     pub holders: Vec<String>,

@@ -18,6 +18,7 @@ use tidemap_map::{
 /// A refused observation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RefusedObservation {
+    /// Sequence number.
     pub sequence: u64,
     /// The reason for programs.
     pub reason: RefusalReason,
@@ -78,8 +79,10 @@ pub enum ScanOrigin {
     Cast,
 }
 
+/// A scan that intake has checked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CheckedScan {
+    /// Sequence number.
     pub sequence: u64,
     /// Running CRC up to this scan.
     pub content_crc: u32,
@@ -87,6 +90,7 @@ pub struct CheckedScan {
     pub origin: ScanOrigin,
     /// Whether the scan is logged. Other scans are only remembered, because later ones refer to them.
     pub is_taken: bool,
+    /// The scan.
     pub scan: StreamScan,
     /// Tiles added to the table before this scan.
     pub new_tiles: Vec<TileIndex>,

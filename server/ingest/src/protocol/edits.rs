@@ -16,6 +16,7 @@ use crate::role::NotWriter;
 /// A state to add.
 #[derive(Debug)]
 pub struct AddState {
+    /// The state to add.
     pub state: DeclaredState,
     /// The client that sends the request, by its name in the shares; empty if it has no share of its own.
     pub client: String,
@@ -25,6 +26,7 @@ pub struct AddState {
 
 /// The reason why a map has no room for another state, or for other tiles.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum NoRoom {
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     States { max: usize },
@@ -48,6 +50,7 @@ pub enum NoRoom {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum AddStateError {
     #[error(
         "state {name:?} exists and is {found}, not {requested}: the kind of a state never changes",
@@ -85,6 +88,7 @@ pub enum AddStateError {
 /// Producers that give their places up.
 #[derive(Debug)]
 pub struct ForgetProducers {
+    /// Name of the producer.
     pub producer: String,
     /// The label of the producers; `None`: all labels.
     pub label: Option<String>,
@@ -93,6 +97,7 @@ pub struct ForgetProducers {
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum ForgetError {
     #[error("the map has no producer {producer:?}{}: tidemap producer list shows those it has", match .label {
         Some(label) => format!(" with label {label:?}"),
@@ -116,12 +121,14 @@ pub enum ForgetError {
 /// An edit of the site.
 #[derive(Debug)]
 pub struct EditSite {
+    /// The change.
     pub edit: SiteEdit,
     /// The reply, sent after the edit is durable and published.
     pub reply: oneshot::Sender<Result<(), EditSiteError>>,
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum EditSiteError {
     #[error(transparent)]
     Invalid(#[from] InvalidEdit),

@@ -18,8 +18,10 @@ pub struct SessionId(pub u64);
 /// A producer opens a stream.
 #[derive(Debug)]
 pub struct Hello {
+    /// The producer and its label.
     pub key: ProducerKey,
     /// The requested incarnation; 0: a new one.
+    /// The incarnation of the producer.
     pub incarnation: u64,
     /// The client, by its name in the shares; empty: it has no share of its own.
     pub client: String,
@@ -33,13 +35,16 @@ pub struct Hello {
     pub sensor: Option<ProducerSensor>,
     /// The channel of messages back to the stream.
     pub events: mpsc::UnboundedSender<SessionEvent>,
+    /// The receiver of the result.
     pub reply: oneshot::Sender<Result<Welcome, HelloError>>,
 }
 
 /// The reply to an accepted stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Welcome {
+    /// The session of the stream.
     pub session: SessionId,
+    /// Number of the start of the producer.
     pub incarnation: u64,
     /// All observations up to this sequence number are durable.
     pub durable_sequence: u64,
@@ -50,6 +55,7 @@ pub struct Welcome {
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum HelloError {
     #[error(
         "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
@@ -96,6 +102,7 @@ pub enum HelloError {
 pub enum SessionEvent {
     /// All observations up to the sequence number are durable.
     Ack {
+        /// The sequence number.
         durable_sequence: u64,
         /// The observations refused since the last acknowledgement.
         refused: Vec<RefusedObservation>,

@@ -256,7 +256,7 @@ fn is_full(name: &StateName, no_room: &NoRoom) -> Refusal {
 impl Sessions {
     /// The event that adds a state; `None` if the map has it with that shape, sensor and reporting. A property that is
     /// not stated matches any value.
-    pub fn add_state(
+    pub(crate) fn add_state(
         &mut self,
         DeclaredState { name, shape, labels, sensor, reporting: stated }: &DeclaredState,
         client: &str,

@@ -43,6 +43,7 @@ const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
 /// The reason why an update has no result.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the variants and fields")]
 pub enum UpdateFailed {
     #[error("an update could not read its training data: {0}. Restore the folder of this map from a backup")]
     Sums(#[from] SumsUnavailable),

@@ -54,7 +54,7 @@ pub(crate) struct PlannedDay {
 }
 
 impl PlannedDay {
-    pub fn reply(&self) -> v1::PlanDayResponse {
+    pub(crate) fn reply(&self) -> v1::PlanDayResponse {
         let mut reply = day_to_wire(&self.rows, &self.names);
         if let Some(tasks) = &self.tasks {
             planned_to_wire(tasks, &mut reply);
@@ -63,7 +63,7 @@ impl PlannedDay {
     }
 
     /// The plan as a map keeps it.
-    pub fn kept(&self, day: LocalDay, made_nanos: i64) -> KeptPlan {
+    pub(crate) fn kept(&self, day: LocalDay, made_nanos: i64) -> KeptPlan {
         let explored = |row: &DayRow| {
             let (start_nanos, end_nanos) = (row.start_nanos, self.slots.start_nanos(row.slot + 1));
             let place = self.names.get(row.location?)?.clone();

@@ -81,7 +81,7 @@ impl PeerLinks {
 
 /// The connections to all daemons, by address.
 #[derive(Debug)]
-pub struct Links {
+pub(crate) struct Links {
     tls: Option<PeerTlsFiles>,
     tokens_in_clear: bool,
     by_address: Mutex<HashMap<String, Arc<PeerLinks>>>,
@@ -119,7 +119,7 @@ fn root_cause(error: &dyn std::error::Error) -> String {
 }
 
 impl Links {
-    pub fn new(tls: Option<PeerTlsFiles>, tokens_in_clear: bool) -> Self {
+    pub(crate) fn new(tls: Option<PeerTlsFiles>, tokens_in_clear: bool) -> Self {
         Self { tls, tokens_in_clear, by_address: Mutex::default() }
     }
 
@@ -133,7 +133,7 @@ impl Links {
     ///
     /// # Errors
     /// See [`NoLink`].
-    pub async fn place(&self, address: &str, has_token: bool) -> Result<PeerPlace, NoLink> {
+    pub(crate) async fn place(&self, address: &str, has_token: bool) -> Result<PeerPlace, NoLink> {
         if has_token && !self.tokens_in_clear && is_in_clear(address) {
             return Err(NoLink::InClear { address: address.to_owned() });
         }

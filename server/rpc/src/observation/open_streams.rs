@@ -164,7 +164,7 @@ impl Open {
 impl OpenStreams {
     /// Creates an empty set of streams, which take from these shares. A stream that was silent for `idle_after` makes
     /// room.
-    pub fn new(shares: Shares, idle_after: Duration) -> Self {
+    pub(crate) fn new(shares: Shares, idle_after: Duration) -> Self {
         Self { shares, idle_after, open: Arc::default() }
     }
 
