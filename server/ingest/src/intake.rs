@@ -33,7 +33,7 @@ mod known_content;
 mod reports;
 mod scans;
 #[cfg(test)]
-pub mod tests;
+pub(crate) mod tests;
 
 use known_content::KnownContent;
 use scans::ScanIntake;

@@ -178,7 +178,7 @@ impl Gateway {
         };
         let place = |bytes: usize| {
             let place = (bytes > SMALL_MESSAGE_BYTES).then(|| self.services.large_json(admitted)).transpose();
-            place.map_err(|error| refused(error))
+            place.map_err(&refused)
         };
         // The room is reserved before the body is read, if the length is declared.
         let declared = usize::try_from(http_body::Body::size_hint(&body).lower()).unwrap_or(usize::MAX);

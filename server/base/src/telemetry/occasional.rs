@@ -15,6 +15,12 @@ const EVERY: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Occasional(Mutex<(Option<Instant>, u64)>);
 
+impl Default for Occasional {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Occasional {
     /// No line was written yet.
     pub const fn new() -> Self {

@@ -10,7 +10,7 @@ use super::*;
 use crate::protocol::ReportBatch;
 
 /// Takes messages in the form of the wire.
-pub trait TakeSent {
+pub(crate) trait TakeSent {
     fn take_sent(&mut self, batch: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError>;
     fn begin_sent_scans(&mut self, batch: v1::ScanBatch) -> Result<bool, IntakeError>;
     fn take_sent_reports(&mut self, batch: v1::ReportBatch) -> Result<Option<ReportBatch>, IntakeError>;

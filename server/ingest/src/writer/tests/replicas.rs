@@ -47,7 +47,9 @@ impl Replica {
         let log = Arc::clone(&restored.log);
         let handle = start(context.clone(), id, restored).expect("a thread");
         let notified = Arc::clone(&handle);
-        let listener: ReplicaListener = Arc::new(move |event| drop(notified.send(Command::Replica(event))));
+        let listener: ReplicaListener = Arc::new(move |event| {
+            notified.send(Command::Replica(event));
+        });
         Self { context, clock, id, handle, forks, fatal, log, listener }
     }
 
