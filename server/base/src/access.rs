@@ -155,8 +155,12 @@ impl Caller {
     /// The caller of the request that this task works on. A task that was spawned by the work on a request has no
     /// caller, unless it was started with [`Caller::scope`].
     pub fn current() -> Self {
-        // Unit tests call services without a port.
-        CALLER.try_with(Clone::clone).unwrap_or(if cfg!(test) { Self::Anybody } else { Self::Stranger })
+        Self::known().unwrap_or(Self::Stranger)
+    }
+
+    /// The caller in the form of [`Caller::current`]; `None`: the task has no caller.
+    pub fn known() -> Option<Self> {
+        CALLER.try_with(Clone::clone).ok()
     }
 
     /// Does work for this caller.

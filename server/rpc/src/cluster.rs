@@ -4,7 +4,6 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tidemap_base::access::Caller;
 use tidemap_cluster::{
     engine::{EngineServer, StreamHealth},
     membership::Member,
@@ -30,6 +29,7 @@ use tonic::{Request, Response, Status};
 use super::{
     RpcReply,
     forks::{fork_to_wire, known_producers, read_fork},
+    guard::current_caller,
     lookup::{check_scope, find_map, find_published},
     permits::{Permits, run_blocking},
     replies::{Replies, compute_replies},
@@ -169,7 +169,7 @@ impl ClusterService for ClusterCalls {
         &self,
         request: Request<v1::GetClusterStatusRequest>,
     ) -> RpcReply<v1::GetClusterStatusResponse> {
-        let (cluster, caller, now) = (self.cluster()?, Caller::current(), Instant::now());
+        let (cluster, caller, now) = (self.cluster()?, current_caller(), Instant::now());
         let mut reply = v1::GetClusterStatusResponse {
             cluster: cluster.name().to_owned(),
             cluster_id: cluster.id().to_owned(),

@@ -20,7 +20,6 @@ use axum::{
 };
 use tidemap_base::{
     access::{
-        Caller,
         peer_secret::PeerSecret,
         places::{Place, place},
     },
@@ -43,6 +42,7 @@ use tokio::sync::watch;
 use tonic::{Status, codegen::Service as _};
 
 use super::{
+    guard::current_caller,
     lookup::check_scope,
     observation::HELLO_WITHIN,
     status::{GatewayError, RpcError},
@@ -131,7 +131,7 @@ pub(super) async fn answer_or_pass(
     if !is_observe {
         return answer.await;
     }
-    let answer = Client::current().scope(Caller::current().scope(answer));
+    let answer = Client::current().scope(current_caller().scope(answer));
     late(Box::pin(Span::current().scope(answer)))
 }
 

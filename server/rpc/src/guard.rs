@@ -26,6 +26,11 @@ use super::{
     watched_body::{Direction, WatchedBody},
 };
 
+/// The caller of the request that this task works on. Unit tests call services without a port: there it is anybody.
+pub(crate) fn current_caller() -> Caller {
+    Caller::known().unwrap_or(if cfg!(test) { Caller::Anybody } else { Caller::Stranger })
+}
+
 /// How a port checks its callers.
 #[derive(Clone, Debug)]
 pub enum Access {

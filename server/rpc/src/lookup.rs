@@ -5,7 +5,7 @@
 use std::{sync::Arc, time::Duration};
 
 use tidemap_answer::{KnownCell, StateOrCell};
-use tidemap_base::{access::Caller, telemetry::traces::Span};
+use tidemap_base::telemetry::traces::Span;
 use tidemap_grid::{index::CellIndex, view::CellDescription};
 use tidemap_ingest::{
     catalog::{Catalog, CatalogError},
@@ -22,6 +22,7 @@ use tidemap_map::{
 use tidemap_proto::convert::{OverLimit, cells::cell_from_wire};
 
 use super::status::{Misfit, Problem, RpcError};
+use crate::guard::current_caller;
 
 /// How long a request waits for a map that is being opened.
 const OPEN_WITHIN: Duration = Duration::from_secs(10);
@@ -53,7 +54,7 @@ pub(super) async fn opened(handle: &MapHandle) -> Result<(), RpcError> {
 
 /// Checks that the caller of this request may use a map of this name, whether there is one or not.
 pub(super) fn check_scope(name: &str) -> Result<(), RpcError> {
-    if Caller::current().covers(name) {
+    if current_caller().covers(name) {
         return Ok(());
     }
     metrics::counter!("tidemap_denied_total", "reason" => "NOT_FOR_MAP").increment(1);
@@ -62,7 +63,7 @@ pub(super) fn check_scope(name: &str) -> Result<(), RpcError> {
 
 /// Checks that the caller of this request may send observations as this producer.
 pub(super) fn check_producer(producer: &str) -> Result<(), RpcError> {
-    if Caller::current().may_send_as(producer) {
+    if current_caller().may_send_as(producer) {
         return Ok(());
     }
     metrics::counter!("tidemap_denied_total", "reason" => "NOT_FOR_PRODUCER").increment(1);
@@ -78,7 +79,7 @@ pub fn check_sender(map: &str, producer: &str) -> Result<(), RpcError> {
 /// The map of this name, even if it shows only the generation that the index publishes.
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     check_scope(name)?;
-    let caller = Caller::current();
+    let caller = current_caller();
     let found = catalog.get(name);
     if found.is_ok() {
         Span::current().text("tidemap.map", name);

@@ -39,6 +39,7 @@ use tonic::{Request, Response, Status};
 
 use super::{RpcReply, status::RpcError};
 use crate::{
+    guard::current_caller,
     lookup::{find_map, find_state},
     update_worth,
 };
@@ -167,7 +168,7 @@ impl Maintenance {
     fn check_any_folder(path: &str, peer: Option<Peer>) -> Result<(), RpcError> {
         // Without tokens, everybody who may connect from this machine may do everything anyway.
         let is_local = peer.is_some_and(Peer::is_of_this_machine);
-        if !matches!(Caller::current(), Caller::Anybody) || !is_local {
+        if !matches!(current_caller(), Caller::Anybody) || !is_local {
             return Err(RpcError::NoBackupFolder);
         }
         if !Path::new(path).is_absolute() {
@@ -179,7 +180,7 @@ impl Maintenance {
     fn job(&self, id: u64) -> Result<Arc<UpdateJob>, RpcError> {
         let job = self.catalog.context().jobs.get(id);
         // A job of a map that the caller has no right to does not exist for the caller.
-        job.filter(|job| may_see(&Caller::current(), job)).ok_or(RpcError::UnknownJob(id))
+        job.filter(|job| may_see(&current_caller(), job)).ok_or(RpcError::UnknownJob(id))
     }
 }
 
@@ -219,7 +220,7 @@ impl MaintenanceService for Maintenance {
 
     async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> RpcReply<v1::ListJobsResponse> {
         let request = request.into_inner();
-        let (mut jobs, caller) = (self.catalog.context().jobs.list(), Caller::current());
+        let (mut jobs, caller) = (self.catalog.context().jobs.list(), current_caller());
         jobs.retain(|job| may_see(&caller, job));
         let page = page_from_wire(request.page_size, &request.page_token, 100, 1000).map_err(RpcError::from)?;
         let (range, next_page_token) = page.within(jobs.len());
@@ -341,13 +342,13 @@ impl MaintenanceService for Maintenance {
             }
             .into());
         }
-        let job = self.catalog.erase(&handle.spec.name, erasure, &Caller::current());
+        let job = self.catalog.erase(&handle.spec.name, erasure, &current_caller());
         Ok(Response::new(v1::EraseResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 
     async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {
         let name = request.into_inner().map;
-        if name.is_empty() && !Caller::current().covers_all() {
+        if name.is_empty() && !current_caller().covers_all() {
             return Err(RpcError::NeedsAllMaps.into());
         }
         let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name).await?) };

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tidemap_answer::StateOrCell;
-use tidemap_base::{access::Caller, shares::client::Client};
+use tidemap_base::shares::client::Client;
 use tidemap_ingest::{
     catalog::{Catalog, CatalogError},
     handle::MapHandle,
@@ -29,7 +29,7 @@ use tidemap_proto::{
 use tokio::sync::oneshot;
 use tonic::{Request, Response};
 
-use super::{RpcReply, status::RpcError};
+use super::{RpcReply, guard::current_caller, status::RpcError};
 use crate::lookup::{check_on_grid, check_scope, find_all, find_map, opened};
 
 #[derive(Debug)]
@@ -62,7 +62,7 @@ impl MapService for Maps {
 
     async fn list_maps(&self, request: Request<v1::ListMapsRequest>) -> RpcReply<v1::ListMapsResponse> {
         let request = request.into_inner();
-        let (all, caller) = (self.catalog.all(), Caller::current());
+        let (all, caller) = (self.catalog.all(), current_caller());
         let maps: Vec<_> = all.iter().filter(|(name, _)| caller.covers(name.as_str())).map(|(_, map)| map).collect();
         let page = page_from_wire(request.page_size, &request.page_token, 100, 1000).map_err(RpcError::from)?;
         let (range, next_page_token) = page.within(maps.len());

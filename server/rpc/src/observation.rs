@@ -7,7 +7,6 @@
 use std::sync::Arc;
 
 use tidemap_base::{
-    access::Caller,
     shares::{Shares, client::Client, waited::WaitedShare},
     telemetry::traces::Span,
 };
@@ -18,7 +17,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{RpcReply, permits::Permits, status::RpcError};
+use super::{RpcReply, guard::current_caller, permits::Permits, status::RpcError};
 
 mod acknowledgements;
 mod channel;
@@ -98,7 +97,7 @@ impl Observations {
         let mut entry = self.streams.enter(&Client::current())?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let service = self.clone();
-        tidemap_base::task::spawn(Span::current().scope(Caller::current().scope(async move {
+        tidemap_base::task::spawn(Span::current().scope(current_caller().scope(async move {
             let result = open_and_serve(&service, &mut entry, &mut requests, &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");

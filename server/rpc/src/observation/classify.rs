@@ -31,6 +31,7 @@ use tonic::Status;
 
 use super::{Observations, report::SentAs};
 use crate::{
+    guard::current_caller,
     lookup::{check_producer, find_map, find_state},
     permits::run_blocking,
     status::{Problem, RpcError},
@@ -52,7 +53,7 @@ impl Observations {
             Learning::Label | Learning::Shares => Some(start_of_classification(&request).map_err(RpcError::from)?),
         };
         if let Some(start) = &start {
-            may_learn(&Caller::current(), start)?;
+            may_learn(&current_caller(), start)?;
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
         let (view, requested) = (handle.view(), question.clone());

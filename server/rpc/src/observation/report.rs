@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use tidemap_base::{access::Caller, shares::client::Client, telemetry::traces::Span};
+use tidemap_base::{shares::client::Client, telemetry::traces::Span};
 use tidemap_ingest::protocol::{HelloError, RefusedObservation};
 use tidemap_proto::{
     bounds::READINGS,
@@ -25,7 +25,7 @@ use super::{
     opening::{open_session, take_seat},
     session::OpenSession,
 };
-use crate::{lookup::find_map, status::RpcError};
+use crate::{guard::current_caller, lookup::find_map, status::RpcError};
 
 /// Maximum time that a request waits for the stream of its key to end.
 const KEY_WITHIN: Duration = Duration::from_secs(2);
@@ -89,7 +89,7 @@ impl Observations {
         let service = self.clone();
         let mut entry = self.streams.enter(&Client::current())?;
         let work = async move { take_items(&service, &mut entry, &sent_as, items).await };
-        let task = tidemap_base::task::spawn(Span::current().scope(Caller::current().scope(work)));
+        let task = tidemap_base::task::spawn(Span::current().scope(current_caller().scope(work)));
         task.await?
     }
 }
