@@ -235,6 +235,9 @@ mod tests {
     fn cells_of_the_same_size_stay_as_they_are() {
         let scan = grid([1.0, -0.5, 0.0], 0.0, 0.5, 3, &[0, 1, -1, -1, 0, 100]).in_cells(0.5, [0.0; 3]);
         assert_eq!(cells(&scan.expect("valid")), (vec![0, 1, -1, -1, 0, 1], [2, -1, 0]));
+        // Numbers as they come from a file: 0.05 is no binary fraction.
+        let scan = grid([0.15, 0.3, 0.0], 0.0, 0.05, 3, &[0, 1, -1, -1, 0, 1]).in_cells(0.05, [-0.1, 0.0, 0.0]);
+        assert_eq!(cells(&scan.expect("valid")), (vec![0, 1, -1, -1, 0, 1], [5, 6, 0]));
     }
 
     #[test]
@@ -244,22 +247,30 @@ mod tests {
     }
 
     #[test]
-    fn larger_cells_leave_no_cell_of_the_map_out() {
+    fn larger_cells_fill_all_cells_of_the_map() {
+        let scan = grid([0.0; 3], 0.0, 1.0, 3, &[0, 1, -1]).in_cells(0.5, [0.0; 3]);
+        let row = [0, 0, 1, 1, -1, -1];
+        assert_eq!(cells(&scan.expect("valid")), ([row, row].concat(), [0, 0, 0]));
         let scan = grid([0.0; 3], 0.0, 1.0, 2, &[1, 0]).in_cells(0.3, [0.0; 3]);
-        let (found, first) = cells(&scan.expect("valid"));
-        assert_eq!((first, found.len()), ([0, 0, 0], 28));
-        assert!(found.iter().all(|&cell| cell >= 0), "{found:?}");
+        let (found, _) = cells(&scan.expect("valid"));
+        // A cell of the border, of which the grid covers a third, is not seen.
+        assert!(found.len() == 28 && found[..21].iter().all(|&cell| cell >= 0), "{found:?}");
     }
 
     #[test]
-    fn a_turned_grid_covers_its_place() {
-        let quarter = grid([2.0, 0.0, 0.0], std::f64::consts::FRAC_PI_2, 1.0, 2, &[1, 0]).in_cells(1.0, [0.0; 3]);
-        assert_eq!(cells(&quarter.expect("valid")), (vec![1, 0], [1, 0, 0]));
-        let eighth = grid([0.0; 3], std::f64::consts::FRAC_PI_4, 1.0, 10, &[0; 100]).in_cells(1.0, [0.0; 3]);
-        let (found, _) = cells(&eighth.expect("valid"));
-        let seen = found.iter().filter(|&&cell| cell == 0).count();
-        // The area is 100, and its border crosses more cells.
-        assert!((100..150).contains(&seen), "{seen}");
+    fn a_turned_grid_is_where_its_pose_states() {
+        // A quarter turn: the x axis of the grid is the y axis of the map.
+        let quarter = grid([2.0, 0.0, 0.0], std::f64::consts::FRAC_PI_2, 0.5, 3, &[0, 1, -1, -1, 0, 1]);
+        let scan = quarter.in_cells(0.5, [0.0; 3]);
+        assert_eq!(cells(&scan.expect("valid")), (vec![-1, 0, 0, 1, 1, -1], [2, 0, 0]));
+        // Half of a right angle: no cell of a large area is left out.
+        let eighth = grid([0.0; 3], std::f64::consts::FRAC_PI_4, 0.5, 20, &[0; 400]).in_cells(0.5, [0.0; 3]);
+        let (found, [first_x, _, _]) = cells(&eighth.expect("valid"));
+        let width = found.len() / 29;
+        let middle = usize::try_from(-first_x).expect("the corner is inside");
+        for row in 9..19 {
+            assert!(found[row * width + middle - 5..row * width + middle + 5].iter().all(|&cell| cell == 0), "{row}");
+        }
     }
 
     #[test]

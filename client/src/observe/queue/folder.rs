@@ -103,7 +103,8 @@ impl QueueFolder {
         });
         let found = [&*relation.map, &*relation.producer, &*relation.label];
         if found != [map, producer, label] {
-            let named = |[map, producer, label]: [&str; 3]| format!("map {map:?}, producer {producer:?}, label {label:?}");
+            let named =
+                |[map, producer, label]: [&str; 3]| format!("map {map:?}, producer {producer:?}, label {label:?}");
             let (found, wanted) = (named(found), named([map, producer, label]));
             return Err(QueueError::OtherStream { folder: path.to_owned(), found, wanted });
         }
@@ -193,7 +194,8 @@ impl QueueFolder {
         });
         synced.map_err(|error| {
             let mut kept = self.kept();
-            let again = kept.segments.iter_mut().filter(|segment| files.iter().any(|(first, _)| *first == segment.first));
+            let again =
+                kept.segments.iter_mut().filter(|segment| files.iter().any(|(first, _)| *first == segment.first));
             again.for_each(|segment| segment.is_unsynced = true);
             QueueError::NotSynced(error.to_string())
         })
@@ -250,7 +252,8 @@ impl QueueFolder {
         number: u64,
     ) -> Result<Option<(Vec<u8>, RecordPlace)>, QueueError> {
         let kept = self.kept();
-        let Some(segment) = kept.segments.iter().find(|one| one.records > 0 && (one.first..=one.last()).contains(&number))
+        let Some(segment) =
+            kept.segments.iter().find(|one| one.records > 0 && (one.first..=one.last()).contains(&number))
         else {
             return Ok(None);
         };
@@ -259,7 +262,8 @@ impl QueueFolder {
         loop {
             let found = record_at(&segment.file, offset, segment.bytes);
             let found = found.map_err(|error| QueueError::folder(&segment.path, &error))?;
-            let raw = found.ok_or_else(|| QueueError::damaged(&segment.path, format!("record {current} has changed")))?;
+            let raw =
+                found.ok_or_else(|| QueueError::damaged(&segment.path, format!("record {current} has changed")))?;
             offset += (HEAD_BYTES + raw.len()) as u64;
             if current == number {
                 return Ok(Some((raw, RecordPlace { number: number + 1, segment_first: segment.first, offset })));

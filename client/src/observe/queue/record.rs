@@ -160,9 +160,8 @@ impl TilesRecord {
             return Err(BadRecord::Parts);
         }
         let masks = observed.iter().zip(occupied);
-        let masks = masks.map(|(observed, occupied)| {
-            TileMasks::clipped(Mask::from_bytes(observed), Mask::from_bytes(occupied))
-        });
+        let masks = masks
+            .map(|(observed, occupied)| TileMasks::clipped(Mask::from_bytes(observed), Mask::from_bytes(occupied)));
         let tiles = indices.iter().map(|&[x, y, z]| TileIndex { x, y, z }).zip(masks).collect();
         Ok(match &self.shown {
             Some(shown) => Scan::Map { tiles, shown: cell_box_from_wire(shown) },
@@ -212,7 +211,10 @@ mod tests {
     use tidemap_grid::index::{CellBox, CellIndex};
 
     use super::*;
-    use crate::observe::{TraversalReport, scan::{PointCloud, RangeScan}};
+    use crate::observe::{
+        TraversalReport,
+        scan::{PointCloud, RangeScan},
+    };
 
     fn again(content: Content) -> Content {
         let raw = QueuedRecord::new(7, content).encode_to_vec();

@@ -16,7 +16,11 @@ use super::{
 use crate::{
     connection::Client,
     error::Error,
-    observe::{Phase, Producer, ProducerError, ProducerOptions, Refusal, occupancy::{OccupancyError, OccupancyGrid}, scan::Scan},
+    observe::{
+        Phase, Producer, ProducerError, ProducerOptions, Refusal,
+        occupancy::{OccupancyError, OccupancyGrid},
+        scan::Scan,
+    },
 };
 
 /// Pauses before another attempt after a stream has ended for good.

@@ -16,10 +16,7 @@ use super::{
     folder::{QueueFolder, RecordPlace},
     record,
 };
-use crate::observe::{
-    Phase, Progress, Refusal, RefusalReason,
-    shared::REFUSALS_MAX,
-};
+use crate::observe::{Phase, Progress, Refusal, RefusalReason, shared::REFUSALS_MAX};
 
 /// Maximum number of records in flight, and of their bytes.
 const IN_FLIGHT_RECORDS: usize = 4096;

@@ -323,6 +323,7 @@ proptest! {
                 Step::Reopen => {
                     queue.close().expect("closed");
                     queue = open();
+                    queue.linked(expected.durable).expect("linked");
                     expected.synced_bytes = queue.counts().bytes;
                 }
                 Step::Cut(part) => {
