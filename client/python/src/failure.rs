@@ -3,7 +3,10 @@
 //! Invariant: an exception has the words of the daemon or of the client library, and the code that programs decide by.
 
 use pyo3::prelude::*;
-use tidemap_client::{Error, observe::{ProducerError, QueueError}};
+use tidemap_client::{
+    Error,
+    observe::{ProducerError, QueueError},
+};
 
 /// The exception for a code of gRPC, made by `tidemap.errors`.
 pub(crate) fn exception(py: Python<'_>, code: &str, message: &str) -> PyErr {

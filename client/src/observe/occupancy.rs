@@ -1,7 +1,7 @@
 //! Occupancy grids with a pose and a resolution of their own, as cells of a map.
 //!
-//! Invariant: pure. A cell of the map is occupied if anything in it is occupied, and free if something in it is free and
-//! nothing is occupied; a cell that no cell of the grid shows is not seen.
+//! Invariant: pure. A cell of the map is occupied if anything in it is occupied, and free if something in it is free
+//! and nothing is occupied; a cell that no cell of the grid shows is not seen.
 
 use std::collections::BTreeMap;
 

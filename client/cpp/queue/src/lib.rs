@@ -213,8 +213,7 @@ fn opened(options: &Options) -> Result<(QueuedProducer, Runtime), Reply> {
     let client = client.map_err(|error| wrong(Problem::Invalid, error))?;
     let sync_every = Duration::try_from_secs_f64(options.sync_secs).ok().filter(|interval| !interval.is_zero());
     let sync_every = sync_every.ok_or_else(|| wrong(Problem::Invalid, "sync_secs: use a number above 0"))?;
-    let queue =
-        QueueOptions { folder: PathBuf::from(&options.folder), bytes_max: options.bytes_max, sync_every };
+    let queue = QueueOptions { folder: PathBuf::from(&options.folder), bytes_max: options.bytes_max, sync_every };
     let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("tidemap").enable_all().build();
     let runtime = runtime.map_err(|error| wrong(Problem::Other, format!("no threads for the queue: {error}")))?;
     let entered = runtime.enter();
@@ -273,8 +272,7 @@ impl Queue {
             Err(reply) => return reply,
         };
         let (frame_id, ranges_m) = (frame_id.to_owned(), ranges_m.to_vec());
-        let scan =
-            RangeScan { pose, frame_id, angle_min_rad, angle_increment_rad, ranges_m, min_range_m, max_range_m };
+        let scan = RangeScan { pose, frame_id, angle_min_rad, angle_increment_rad, ranges_m, min_range_m, max_range_m };
         self.with(|producer| producer.send_scan(time_nanos, Scan::Ranges(scan)))
     }
 
@@ -294,19 +292,11 @@ impl Queue {
             Ok(pose) => pose,
             Err(reply) => return reply,
         };
-        let cloud =
-            PointCloud { pose, frame_id: frame_id.to_owned(), xyz_m: xyz_m.to_vec(), min_range_m, max_range_m };
+        let cloud = PointCloud { pose, frame_id: frame_id.to_owned(), xyz_m: xyz_m.to_vec(), min_range_m, max_range_m };
         self.with(|producer| producer.send_scan(time_nanos, Scan::Cloud(cloud)))
     }
 
-    fn send_occupancy(
-        &self,
-        time_nanos: i64,
-        pose: &Position,
-        resolution_m: f64,
-        width: usize,
-        cells: &[i8],
-    ) -> Reply {
+    fn send_occupancy(&self, time_nanos: i64, pose: &Position, resolution_m: f64, width: usize, cells: &[i8]) -> Reply {
         let pose = match pose_from(pose) {
             Ok(pose) => pose,
             Err(reply) => return reply,

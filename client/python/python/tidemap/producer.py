@@ -260,8 +260,8 @@ class QueueState:
 class QueuedProducer(Producer):
     """Takes observations into files of this machine, and sends them in the background, each exactly once.
 
-    The daemon does not have to be reachable: what was taken waits in the files, and is sent later, in order, also by the
-    next run of this program. A call that returned has its observation in the files; it survives the end of this program
+    The daemon does not have to be reachable: observations wait in the files, and are sent later, in order, also by the
+    next run of this program. When a call returns, its observation is in the files; it survives the end of this program
     at once, and a power cut after ``sync()``, which is also done each second. If the queue is full, ``send`` raises
     :class:`tidemap.ResourceExhausted`, and the observation is not taken. Use it as a context manager; at the end it
     does not wait for the daemon. ``flush()`` waits.

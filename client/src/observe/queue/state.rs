@@ -49,8 +49,8 @@ pub struct QueueState {
     pub last_refusal: String,
     /// Observations that became durable while the connection broke, so that refusals of them are unknown.
     pub unreported: u64,
-    /// Observations that cannot be sent: the map has no grid, or another version wrote them. The daemon counts a refusal
-    /// in the place of each.
+    /// Observations that cannot be sent: the map has no grid, or another version wrote them. The daemon counts a
+    /// refusal in the place of each.
     pub unsendable: u64,
     /// Why the last of them cannot be sent; empty if there is none.
     pub last_unsendable: String,

@@ -8,8 +8,8 @@
 //   tidemap::QueuedProducer producer(options);      // does not wait for the daemon
 //   producer.send("door", 1458518400000000000, 1);  // kept from here on
 //
-// Invariant: an observation whose call returned is in the files. It is sent exactly once, in order, also by the next run
-// of the program. A call that throws has taken nothing. Calls may come from any thread.
+// Invariant: an observation whose call returned is in the files. It is sent exactly once, in order, also by the next
+// run of the program. A call that throws has taken nothing. Calls may come from any thread.
 
 #pragma once
 
@@ -97,7 +97,8 @@ struct PointCloud {
   std::vector<float> xyz_m;
 };
 
-// A grid with a pose of its corner and a resolution of its own: rows along x; below 0 not seen, 0 free, above 0 occupied.
+// A grid with a pose of its corner and a resolution of its own: rows along x; below 0 not seen, 0 free, above 0
+// occupied.
 struct OccupancyGrid {
   Pose pose;
   double resolution_m = 0;
