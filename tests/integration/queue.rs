@@ -1,10 +1,10 @@
-//! The durable queue of a robot against a real daemon: a start without a network, kill -9 of both sides, a full queue, a
-//! restored backup, and everything that a producer can send.
+//! The durable queue of a robot against a real daemon: a start without a network, kill -9 of both sides, a full queue,
+//! a restored backup, and everything that a producer can send.
 
 use std::{
     io::{BufRead as _, BufReader},
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     time::{Duration, Instant},
 };
 
@@ -72,26 +72,21 @@ fn send(producer: &QueuedProducer, numbers: impl Iterator<Item = i64>) {
     }
 }
 
-/// The program of a robot, and the number of the last observation that it took.
+/// Runs the program of a robot to its end, or kills it after a time; returns the lines that it wrote.
 fn run_program(server: &str, folder: &Path, count: u64, kill_after: Option<Duration>) -> Vec<String> {
     let program = binaries::profile_folder().join("tidemap-queue");
     let mut command = Command::new(program);
     command.arg(server).arg(folder).arg(count.to_string()).stdout(Stdio::piped());
-    let mut child: Child = command.spawn().expect("the program of the test is built");
+    let mut child = command.spawn().expect("the program of the test is built");
     let lines = BufReader::new(child.stdout.take().expect("stdout is a pipe")).lines();
-    let killer = kill_after.map(|after| {
-        std::thread::spawn(move || {
-            std::thread::sleep(after);
-            // It may have ended.
-            let _ = child.kill();
-            child.wait()
-        })
-    });
-    let found = lines.map_while(Result::ok).collect();
-    if let Some(killer) = killer {
-        drop(killer.join());
+    let reader = std::thread::spawn(move || lines.map_while(Result::ok).collect());
+    if let Some(after) = kill_after {
+        std::thread::sleep(after);
+        // It may have ended.
+        let _ = child.kill();
     }
-    found
+    child.wait().expect("a child can be waited for");
+    reader.join().expect("a reader does not panic")
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -167,6 +162,7 @@ async fn everything_that_a_producer_sends_can_be_queued() {
     let client = daemon.client();
     let map = NewMap { name: MAP.to_owned(), grid: Some(GridSpec::new(0.1)), ..NewMap::default() };
     client.create_map(map).await.expect("a new map");
+    client.add_categorical(MAP, "room", &["empty".to_owned(), "full".to_owned()]).await.expect("a new state");
     let producer = opened(&daemon, robot.path());
     let at = |second: i64| START + second * SECOND;
     producer.send("door", at(0), 1.0).expect("taken");

@@ -118,6 +118,7 @@ def test_two_programs_and_two_producers_do_not_share_a_queue(office, tmp_path):
 
 def test_everything_can_be_queued(office, tmp_path):
     client = office.connect()
+    client.add_state("office", "room", kind="categorical", labels=["empty", "full"])
     with client.producer("office", "robot", queue=tmp_path / "queue") as robot:
         robot.send("door", NOON, 1)
         robot.send_label("room", NOON, "empty")

@@ -89,7 +89,7 @@ impl OccupancyGrid {
         let turn = *self.pose.rotation.to_rotation_matrix().matrix();
         let parts = self.parts(resolution_m, &turn)?;
         let height = self.cells.len() / self.width;
-        let field = Field::around(self, height, resolution_m, origin_m)?;
+        let field = MapField::around(self, height, resolution_m, origin_m)?;
         self.is_small(field.width.saturating_mul(field.height))?;
         let mut seen = vec![-1_i8; field.width * field.height];
         let edge = self.resolution_m / parts as f64;
@@ -122,7 +122,7 @@ impl OccupancyGrid {
 }
 
 /// The cells of the map around a grid.
-struct Field {
+struct MapField {
     resolution_m: f64,
     origin_m: [f64; 2],
     /// Index x, y, z of the first cell.
@@ -131,7 +131,7 @@ struct Field {
     height: usize,
 }
 
-impl Field {
+impl MapField {
     fn around(
         grid: &OccupancyGrid,
         height: usize,

@@ -15,7 +15,7 @@ use super::{
     QueueOptions, QueueState,
     error::QueueError,
     folder::QueueFolder,
-    record::{Content, GridRecord, PositionRecord, QueuedRecord, ValueRecord},
+    record::{GridRecord, PositionRecord, QueuedRecord, RecordContent, ValueRecord},
     sender::QueueSender,
     state::QueueShared,
 };
@@ -70,7 +70,7 @@ impl QueuedProducer {
     /// [`QueueError`]; the observation is then not taken.
     pub fn send(&self, state: &str, time_nanos: i64, value: f64) -> Result<u64, QueueError> {
         check_name(state)?;
-        self.take(time_nanos, Content::Value(ValueRecord { state: state.to_owned(), value }))
+        self.take(time_nanos, RecordContent::Value(ValueRecord { state: state.to_owned(), value }))
     }
 
     /// Does the same as [`QueuedProducer::send`], for a vector: the coordinates in metres, x and y, or x, y and z.
@@ -83,7 +83,7 @@ impl QueuedProducer {
             return Err(ProducerError::Coordinates(coordinates.len()).into());
         }
         let record = PositionRecord { state: state.to_owned(), coordinates: coordinates.to_vec() };
-        self.take(time_nanos, Content::Position(record))
+        self.take(time_nanos, RecordContent::Position(record))
     }
 
     /// Does the same as [`QueuedProducer::send`], for a categorical state: sends the label that holds.
@@ -93,7 +93,7 @@ impl QueuedProducer {
     pub fn send_label(&self, state: &str, time_nanos: i64, label: &str) -> Result<u64, QueueError> {
         let name = label_name(state, label);
         check_name(&name)?;
-        self.take(time_nanos, Content::Label(name))
+        self.take(time_nanos, RecordContent::Label(name))
     }
 
     /// Takes a scan and returns its number in the queue.
@@ -111,7 +111,7 @@ impl QueuedProducer {
     /// [`QueueError`]; the grid is then not taken.
     pub fn send_grid(&self, time_nanos: i64, grid: &OccupancyGrid) -> Result<u64, QueueError> {
         grid.check()?;
-        self.take(time_nanos, Content::Grid(GridRecord::new(grid)))
+        self.take(time_nanos, RecordContent::Grid(GridRecord::new(grid)))
     }
 
     /// Takes a traversal and returns its number in the queue.
@@ -121,7 +121,7 @@ impl QueuedProducer {
     pub fn send_traversal(&self, report: &TraversalReport) -> Result<u64, QueueError> {
         let TraversalReport { from, to, action, .. } = report;
         [from, to, action].into_iter().try_for_each(|name| check_name(name))?;
-        self.take(report.start_nanos, Content::Report(report.to_report()))
+        self.take(report.start_nanos, RecordContent::Report(report.to_report()))
     }
 
     /// Takes a sighting and returns its number in the queue.
@@ -131,10 +131,10 @@ impl QueuedProducer {
     pub fn send_sighting(&self, report: &SightingReport) -> Result<u64, QueueError> {
         let SightingReport { place, seen, out_of_view, .. } = report;
         seen.iter().chain(out_of_view).chain([place]).try_for_each(|name| check_name(name))?;
-        self.take(report.time_nanos, Content::Report(report.to_report()))
+        self.take(report.time_nanos, RecordContent::Report(report.to_report()))
     }
 
-    fn take(&self, time_nanos: i64, content: Content) -> Result<u64, QueueError> {
+    fn take(&self, time_nanos: i64, content: RecordContent) -> Result<u64, QueueError> {
         if time_nanos < 0 {
             return Err(ProducerError::TimeBefore1970(time_nanos).into());
         }

@@ -24,8 +24,8 @@ use crate::observe::{
 pub(super) struct QueuedRecord {
     #[prost(sfixed64, tag = "1")]
     pub(super) time_nanos: i64,
-    #[prost(oneof = "Content", tags = "2, 3, 4, 5, 6, 7, 8, 9")]
-    pub(super) content: Option<Content>,
+    #[prost(oneof = "RecordContent", tags = "2, 3, 4, 5, 6, 7, 8, 9")]
+    pub(super) content: Option<RecordContent>,
 }
 
 /// The time of a record, without the rest.
@@ -36,7 +36,7 @@ struct RecordTime {
 }
 
 #[derive(Clone, PartialEq, prost::Oneof)]
-pub(super) enum Content {
+pub(super) enum RecordContent {
     #[prost(message, tag = "2")]
     Value(ValueRecord),
     /// A label by its name, `STATE/LABEL`.
@@ -114,12 +114,12 @@ pub(super) enum BadRecord {
 }
 
 impl QueuedRecord {
-    pub(super) fn new(time_nanos: i64, content: Content) -> Self {
+    pub(super) fn new(time_nanos: i64, content: RecordContent) -> Self {
         Self { time_nanos, content: Some(content) }
     }
 
     /// The record of bytes.
-    pub(super) fn read(raw: &[u8]) -> Result<(i64, Content), BadRecord> {
+    pub(super) fn read(raw: &[u8]) -> Result<(i64, RecordContent), BadRecord> {
         let record = Self::decode(raw).map_err(|error| BadRecord::Bytes(raw.len(), error.to_string()))?;
         Ok((record.time_nanos, record.content.ok_or(BadRecord::Empty)?))
     }
@@ -130,7 +130,7 @@ pub(super) fn time_in(raw: &[u8]) -> Option<i64> {
     RecordTime::decode(raw).ok().map(|record| record.time_nanos)
 }
 
-impl From<Scan> for Content {
+impl From<Scan> for RecordContent {
     fn from(scan: Scan) -> Self {
         match scan {
             Scan::Tiles(tiles) => Self::Tiles(TilesRecord::new(&tiles, None)),
@@ -216,7 +216,7 @@ mod tests {
         scan::{PointCloud, RangeScan},
     };
 
-    fn again(content: Content) -> Content {
+    fn again(content: RecordContent) -> RecordContent {
         let raw = QueuedRecord::new(7, content).encode_to_vec();
         assert_eq!(time_in(&raw), Some(7));
         let (time, content) = QueuedRecord::read(&raw).expect("a record");
@@ -229,12 +229,14 @@ mod tests {
         let ranges = RangeScan { ranges_m: vec![1.5, f32::INFINITY], max_range_m: 30.0, ..RangeScan::default() };
         let cloud = PointCloud { xyz_m: vec![0.0, 1.0, 2.0], frame_id: "map".to_owned(), ..PointCloud::default() };
         let contents = [
-            Content::Value(ValueRecord { state: "dveře".to_owned(), value: 0.1 }),
-            Content::Label("door/open".to_owned()),
-            Content::Position(PositionRecord { state: "anna".to_owned(), coordinates: vec![1.0, 2.0] }),
+            RecordContent::Value(ValueRecord { state: "dveře".to_owned(), value: 0.1 }),
+            RecordContent::Label("door/open".to_owned()),
+            RecordContent::Position(PositionRecord { state: "anna".to_owned(), coordinates: vec![1.0, 2.0] }),
             Scan::Ranges(ranges).into(),
             Scan::Cloud(cloud).into(),
-            Content::Report(TraversalReport { from: "hall".to_owned(), ..TraversalReport::default() }.to_report()),
+            RecordContent::Report(
+                TraversalReport { from: "hall".to_owned(), ..TraversalReport::default() }.to_report(),
+            ),
         ];
         for content in contents {
             assert_eq!(again(content.clone()), content);
@@ -246,7 +248,7 @@ mod tests {
         let tile = |x| (TileIndex { x, y: -1, z: 0 }, TileMasks::clipped(Mask([3; 8]), Mask([1; 8])));
         let shown = CellBox { min: CellIndex { x: -8, y: 0, z: 0 }, max: CellIndex { x: 8, y: 1, z: 1 } };
         for scan in [Scan::Tiles(vec![tile(4), tile(-5)]), Scan::Map { tiles: vec![tile(0)], shown }] {
-            let Content::Tiles(record) = again(scan.clone().into()) else { panic!("tiles") };
+            let RecordContent::Tiles(record) = again(scan.clone().into()) else { panic!("tiles") };
             assert_eq!(record.scan(), Ok(scan));
             let short = TilesRecord { observed: Vec::new(), ..record };
             assert_eq!(short.scan(), Err(BadRecord::Parts));
@@ -265,15 +267,15 @@ mod tests {
         fn grids_keep_their_cells(cells in proptest::collection::vec(-1_i8..2, 1..200)) {
             let width = cells.len();
             let grid = OccupancyGrid { pose: Isometry3::translation(1.0, 2.0, 0.0), resolution_m: 0.05, width, cells };
-            let Content::Grid(record) = again(Content::Grid(GridRecord::new(&grid))) else { panic!("a grid") };
+            let RecordContent::Grid(record) = again(RecordContent::Grid(GridRecord::new(&grid))) else { panic!("a grid") };
             prop_assert_eq!(record.grid(), Ok(grid));
         }
 
         #[test]
         fn any_bytes_are_read_without_a_panic(raw in proptest::collection::vec(any::<u8>(), 0..300)) {
             match QueuedRecord::read(&raw) {
-                Ok((_, Content::Tiles(record))) => drop(record.scan()),
-                Ok((_, Content::Grid(record))) => drop(record.grid()),
+                Ok((_, RecordContent::Tiles(record))) => drop(record.scan()),
+                Ok((_, RecordContent::Grid(record))) => drop(record.grid()),
                 _ => {}
             }
         }

@@ -10,7 +10,7 @@ use tidemap_proto::v1::{self, scan::Content as WireScan};
 
 use super::{
     error::QueueError,
-    record::{Content, QueuedRecord},
+    record::{QueuedRecord, RecordContent},
     state::QueueShared,
 };
 use crate::{
@@ -204,21 +204,28 @@ impl QueueSender {
         Ok((number, time_nanos))
     }
 
-    async fn hand_over(&self, producer: &mut Producer, time_nanos: i64, content: Content) -> Result<u64, NotSent> {
+    async fn hand_over(
+        &self,
+        producer: &mut Producer,
+        time_nanos: i64,
+        content: RecordContent,
+    ) -> Result<u64, NotSent> {
         let scan = match content {
-            Content::Value(one) => return Ok(producer.send(&one.state, time_nanos, one.value).await?),
-            Content::Label(name) => return Ok(producer.push(|window| window.push_label(&name, time_nanos)).await?),
-            Content::Position(one) => {
+            RecordContent::Value(one) => return Ok(producer.send(&one.state, time_nanos, one.value).await?),
+            RecordContent::Label(name) => {
+                return Ok(producer.push(|window| window.push_label(&name, time_nanos)).await?);
+            }
+            RecordContent::Position(one) => {
                 return Ok(producer.send_position(&one.state, time_nanos, &one.coordinates).await?);
             }
-            Content::Report(report) => return Ok(producer.push(|window| window.push_report(report)).await?),
-            Content::Cloud(cloud) => WireScan::Cloud(cloud),
-            Content::Ranges(ranges) => WireScan::Ranges(ranges),
-            Content::Tiles(tiles) => {
+            RecordContent::Report(report) => return Ok(producer.push(|window| window.push_report(report)).await?),
+            RecordContent::Cloud(cloud) => WireScan::Cloud(cloud),
+            RecordContent::Ranges(ranges) => WireScan::Ranges(ranges),
+            RecordContent::Tiles(tiles) => {
                 let scan = tiles.scan().map_err(|error| NotSent::Unsendable(error.to_string()))?;
                 return Ok(producer.send_scan(time_nanos, scan).await?);
             }
-            Content::Grid(record) => {
+            RecordContent::Grid(record) => {
                 let grid = record.grid().map_err(|error| NotSent::Unsendable(error.to_string()))?;
                 let scan = self.in_cells_of_map(grid).await?;
                 return Ok(producer.send_scan(time_nanos, scan).await?);
