@@ -41,7 +41,7 @@ fn options() -> ProducerOptions {
 }
 
 fn opened(daemon: &Daemon, folder: &Path) -> QueuedProducer {
-    QueuedProducer::open(&daemon.client(), options(), QueueOptions::new(folder)).expect("a queue")
+    QueuedProducer::open(&daemon.client(), options(), &QueueOptions::new(folder)).expect("a queue")
 }
 
 async fn history(client: &Client, state: &str) -> Vec<(i64, f64)> {
@@ -134,7 +134,7 @@ async fn a_robot_that_starts_without_a_network_sends_everything_later() {
         daemon.grpc.clone()
     };
     let client = Client::new(&server).expect("an address");
-    let open = || QueuedProducer::open(&client, options(), QueueOptions::new(robot.path())).expect("a queue");
+    let open = || QueuedProducer::open(&client, options(), &QueueOptions::new(robot.path())).expect("a queue");
     let producer = open();
     send(&producer, 1..51);
     until("an error", || producer.state().error.is_some()).await;
@@ -202,7 +202,7 @@ async fn a_record_that_cannot_be_sent_uses_its_number_and_is_counted() {
     daemon.client().create_map(NewMap { name: MAP.to_owned(), ..NewMap::default() }).await.expect("a new map");
     let of_kind = |kind| ProducerOptions { kind: Some(StateShape::Scalar(kind)), ..options() };
     let queue = QueueOptions::new(robot.path());
-    let producer = QueuedProducer::open(&daemon.client(), of_kind(StateKind::Probability), queue).expect("a queue");
+    let producer = QueuedProducer::open(&daemon.client(), of_kind(StateKind::Probability), &queue).expect("a queue");
     send(&producer, 1..2);
     // The map has no grid.
     let occupancy = OccupancyGrid { pose: Isometry3::identity(), resolution_m: 0.3, width: 2, cells: vec![0, 1] };
@@ -224,7 +224,7 @@ async fn a_full_queue_keeps_the_oldest_and_refuses_the_newest() {
     let client = daemon.client();
     drop(daemon.kill());
     let queue = QueueOptions { bytes_max: 1_000, ..QueueOptions::new(robot.path()) };
-    let producer = QueuedProducer::open(&client, options(), queue).expect("a queue");
+    let producer = QueuedProducer::open(&client, options(), &queue).expect("a queue");
     let mut taken = 0;
     let full = loop {
         let next = taken + 1;
@@ -258,7 +258,7 @@ async fn a_restored_backup_is_counted_and_sending_goes_on() {
     let client = daemon.client();
     // Small files, so that acknowledged ones are removed.
     let queue = QueueOptions { bytes_max: 1_000, ..QueueOptions::new(robot.path()) };
-    let producer = QueuedProducer::open(&client, options(), queue).expect("a queue");
+    let producer = QueuedProducer::open(&client, options(), &queue).expect("a queue");
     for number in 1..41 {
         send(&producer, number..number + 1);
         producer.flush(PATIENCE).await.expect("durable");

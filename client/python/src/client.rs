@@ -490,7 +490,7 @@ impl NativeClient {
         let options = ProducerOptions { kind, reporting, ..ProducerOptions::new(producer, label, map) };
         let queue = QueueOptions { folder, bytes_max, sync_every };
         let client = self.client(py)?.0;
-        let opened = wait(py, async move { QueuedProducer::open(&client, options, queue) }, |_| Ok(()))?;
+        let opened = wait(py, async move { QueuedProducer::open(&client, options, &queue) }, |_| Ok(()))?;
         Ok(NativeQueue::new(opened.map_err(|error| failure::queue(py, &error))?))
     }
 }

@@ -35,7 +35,7 @@ def office(tmp_path):
 def test_observations_wait_while_no_daemon_is_there(office, tmp_path):
     client, address = office.connect(), office.grpc
     office.kill()
-    with client.producer("office", "robot", queue=tmp_path / "queue") as robot:
+    with client.producer("office", "robot", queue=tmp_path / "queue", zone="UTC") as robot:
         assert isinstance(robot, tidemap.QueuedProducer)
         assert [robot.send("door", NOON + number * SECOND, number % 2) for number in range(50)] == list(range(1, 51))
         until(lambda: robot.state.error is not None)
@@ -60,7 +60,7 @@ def test_kill_9_of_program_and_daemon_loses_nothing_and_counts_nothing_twice(off
     address = office.grpc
     program = (
         "import sys, time, numpy, tidemap\n"
-        f"robot = tidemap.Client({address!r}).producer('office', 'robot', queue={str(tmp_path / 'queue')!r})\n"
+        f"robot = tidemap.Client({address!r}).producer('office', 'robot', queue={str(tmp_path / 'queue')!r}, zone='UTC')\n"
         "noon, second = numpy.datetime64('2026-01-05T12:00:00', 'ns'), numpy.timedelta64(10**9, 'ns')\n"
         "while True:\n"
         "    number = robot.state.last + 1\n"
@@ -94,9 +94,11 @@ def test_a_full_queue_raises_and_keeps_the_oldest(office, tmp_path):
     client = office.connect()
     office.kill()
     with client.producer("office", "robot", queue=tmp_path / "queue", queue_bytes_max=1000) as robot:
+        with pytest.raises(tidemap.Unavailable, match="times with a zone"):
+            robot.send("door", NOON, 1)
         with pytest.raises(tidemap.ResourceExhausted, match="full"):
             for number in range(100):
-                robot.send("door", NOON + number * SECOND, number % 2)
+                robot.send("door", f"{NOON + number * SECOND}Z", number % 2)
         state = robot.state
         assert (state.not_taken, state.bytes_max, state.last) == (1, 1000, number) and state.bytes <= 1000
 
@@ -146,7 +148,7 @@ def test_wrong_observations_raise_and_use_no_number(office, tmp_path):
     with office.connect().producer("office", "robot", queue=tmp_path / "queue") as robot:
         wrong = [
             lambda: robot.send("door", NOON, None),
-            lambda: robot.send("d" * 600, NOON, 1),
+            lambda: robot.send("d" * 10_000, NOON, 1),
             lambda: robot.send_position("anna", NOON, [1.0]),
             lambda: robot.send_cloud(NOON, (0, 0, 0, 0, 0, 0, 0), np.zeros((1, 3))),
             lambda: robot.send_occupancy(NOON, HERE, [[0, 1]], resolution_m=0.0),

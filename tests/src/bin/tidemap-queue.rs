@@ -27,7 +27,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let count: u64 = count.parse()?;
     let options = ProducerOptions::new("robot", "", "office");
     let queue = QueueOptions { sync_every: Duration::from_millis(50), ..QueueOptions::new(PathBuf::from(folder)) };
-    let producer = QueuedProducer::open(&Client::new(&server)?, options, queue)?;
+    let producer = QueuedProducer::open(&Client::new(&server)?, options, &queue)?;
     for number in producer.state().last + 1..=count {
         let time_nanos = (START_SECS + i64::try_from(number)?) * 1_000_000_000;
         let taken = producer.send("door", time_nanos, (number % 2) as f64)?;

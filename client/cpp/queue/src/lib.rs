@@ -218,7 +218,7 @@ fn opened(options: &Options) -> Result<(QueuedProducer, Runtime), Reply> {
     let runtime = runtime.map_err(|error| wrong(Problem::Other, format!("no threads for the queue: {error}")))?;
     let entered = runtime.enter();
     let stream = ProducerOptions::new(&options.producer, &options.label, &options.map);
-    let producer = QueuedProducer::open(&client, stream, queue).map_err(|error| reply(Err(error)))?;
+    let producer = QueuedProducer::open(&client, stream, &queue).map_err(|error| reply(Err(error)))?;
     drop(entered);
     Ok((producer, runtime))
 }

@@ -16,7 +16,7 @@ from tidemap import advice, frames
 from tidemap import reports as _reports
 from tidemap import times as _times
 from tidemap.answers import Map, Observed, observed
-from tidemap.errors import InvalidArgument, TidemapError
+from tidemap.errors import InvalidArgument, TidemapError, Unavailable
 from tidemap.landmarks import Landmarks
 from tidemap.producer import Producer, QueuedProducer
 from tidemap.questions import Questions
@@ -274,19 +274,31 @@ class Client(Questions, Routes, Landmarks, Tasks):
         With ``queue``, the name of a folder, observations wait in files there until the daemon has them: they survive
         the end of this program and, after ``queue_sync_secs``, a power cut. The producer is a
         :class:`tidemap.QueuedProducer`, which does not wait for the daemon and never gives up. More than
-        ``queue_bytes_max`` bytes are refused. Each producer needs a folder of its own.
+        ``queue_bytes_max`` bytes are refused. Each producer needs a folder of its own. Use times with a zone, or set
+        ``zone``: the zone of the map is not known before the daemon was reached.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = None if stated is None else stated.native()
-        of_map, reported = (lambda: self._zone(map)), "samples" if stated is None else stated.kind
+        reported = "samples" if stated is None else stated.kind
         if queue is not None:
             folder = os.fspath(queue)
             kept = self._native.open_queue(
                 map, producer, label, folder, queue_bytes_max, queue_sync_secs, kind, said
             )
-            return QueuedProducer(kept, zone, of_map, reported)
+            return QueuedProducer(kept, zone, lambda: self._zone_offline(map), reported)
         native = self._native.open_producer(map, producer, label, kind, said, patience_secs)
-        return Producer(native, zone, of_map, reported)
+        return Producer(native, zone, lambda: self._zone(map), reported)
+
+    def _zone_offline(self, map: str) -> str:
+        """The zone of a map, for a program that may run without the daemon."""
+        try:
+            return self._zone(map)
+        except Unavailable as error:
+            raise Unavailable(
+                f"the zone of the map {map} is not known yet: use times with a zone, or open the producer with "
+                f"zone=\"UTC\" ({error})",
+                "UNAVAILABLE",
+            ) from None
 
     def update(self, map: str, until: Time | None = None, *, zone: str | None = None) -> dict[str, Any]:
         """Learns the new observations, as the nightly update does, and waits until this ends; returns the job."""

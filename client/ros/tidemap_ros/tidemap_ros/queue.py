@@ -35,7 +35,10 @@ class Queue:
         except (tidemap.TidemapError, OSError) as error:
             raise BadParameter(f"the spool {self.folder} cannot be opened: {error}") from None
         self._grid: MapGrid | None = None
-        self._shown = self._producer.state
+        # The loss of an earlier run was logged by that run; all else is new.
+        self._error: str | None = None
+        self._lost = self._producer.state.lost
+        self._unsendable = 0
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="tidemap-queue", daemon=True)
         self._thread.start()
@@ -104,18 +107,18 @@ class Queue:
         self._producer.retry_now()
 
     def _show(self, state: tidemap.QueueState) -> None:
-        before, self._shown = self._shown, state
         if self._grid is None and state.resolution_m is not None and state.origin_m is not None:
             self._grid = MapGrid(state.resolution_m, state.origin_m)
-        if state.error is not None and state.error != before.error:
+        if state.error is not None and state.error != self._error:
             self._log(f"nothing is sent now, and all is kept on the disk: {state.error}")
-        if state.lost > before.lost:
+        if state.lost > self._lost:
             self._log(
-                f"the daemon no longer has {state.lost - before.lost} records that it had acknowledged; "
+                f"the daemon no longer has {state.lost - self._lost} records that it had acknowledged; "
                 "was a backup restored?"
             )
-        if state.unsendable > before.unsendable:
+        if state.unsendable > self._unsendable:
             self._log(
-                f"{state.unsendable - before.unsendable} records cannot be sent, and are left out; the last: "
+                f"{state.unsendable - self._unsendable} records cannot be sent, and are left out; the last: "
                 f"{state.last_unsendable}"
             )
+        self._error, self._lost, self._unsendable = state.error, state.lost, state.unsendable

@@ -37,7 +37,7 @@ use crate::{
 /// use tidemap_client::{Client, observe::{ProducerOptions, QueueOptions, QueuedProducer}};
 /// let client = Client::new("10.0.0.5:7435")?;
 /// let options = ProducerOptions::new("robot-1", "", "office");
-/// let producer = QueuedProducer::open(&client, options, QueueOptions::new("/var/lib/robot/queue"))?;
+/// let producer = QueuedProducer::open(&client, options, &QueueOptions::new("/var/lib/robot/queue"))?;
 /// producer.send("door", 1_458_518_400_000_000_000, 1.0)?; // kept from here on, with or without a network
 /// println!("{} observations wait", producer.state().waiting);
 /// producer.close().await?; // all is on the disk; the rest is sent by the next run
@@ -55,7 +55,7 @@ impl QueuedProducer {
     ///
     /// # Errors
     /// [`QueueError`] if the folder cannot be used.
-    pub fn open(client: &Client, options: ProducerOptions, queue: QueueOptions) -> Result<Self, QueueError> {
+    pub fn open(client: &Client, options: ProducerOptions, queue: &QueueOptions) -> Result<Self, QueueError> {
         let stream = [&*options.map, &*options.producer, &*options.label];
         let folder = QueueFolder::open(&queue.folder, queue.bytes_max, stream)?;
         let shared = Arc::new(QueueShared::new(folder));

@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_run_that_is_too_long_is_refused() {
-        let record = GridRecord { runs: vec![u32::MAX & !3; 9], ..GridRecord::default() };
+        let record = GridRecord { runs: vec![!3; 9], ..GridRecord::default() };
         assert_eq!(record.grid(), Err(BadRecord::Parts));
         assert_eq!(GridRecord { runs: vec![7], ..GridRecord::default() }.grid(), Err(BadRecord::Parts));
     }
