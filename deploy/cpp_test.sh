@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the examples of client/cpp in target/cpp, and runs them against a real daemon.
 #
-#   deploy/cpp_test.sh TIDEMAPD
+#   deploy/cpp_test.sh TIDEMAPD           the program tidemap is in the same folder
 #
 # client/cpp/queue: a program takes observations before the daemon runs, while it runs, and after it was killed; the
 # daemon counts each once. client/cpp, which needs gRPC for C++: the example runs twice, first against a daemon that is
@@ -18,7 +18,7 @@ build() {
     cmake --build "$2" --parallel "$(nproc)" >>target/cpp.log 2>&1 || { tail -n 40 target/cpp.log; exit 1; }
 }
 
-for tool in cmake c++ cargo python3; do
+for tool in cmake c++ cargo; do
     command -v "$tool" >/dev/null || skip "$tool is not installed"
 done
 
@@ -44,19 +44,10 @@ start() {
     server=$(grep -o 'grpc=[^ ]*' "$data/ports" | cut -d = -f 2)
 }
 
-# ask METHOD REQUEST: the number of observations of the map in the reply
-ask() {
-    local http
-    http=$(grep -o 'http=[^ ]*' "$data/ports" | cut -d = -f 2)
-    python3 - "http://$http/api/v1/$1" "$2" <<'END'
-import json
-import sys
-import urllib.request
-
-request = urllib.request.Request(sys.argv[1], sys.argv[2].encode(), {"content-type": "application/json"})
-with urllib.request.urlopen(request) as reply:
-    print(json.load(reply)["map"].get("observations", 0))
-END
+# observations ARGUMENTS OF tidemap map: the number of observations of the map that it shows
+observations() {
+    "$(dirname "$daemon")/tidemap" --server "$server" map "$@" --output json | grep -o '"observations": *[0-9]*' |
+        grep -o '[0-9]*$'
 }
 
 # expect FILE LINE...
@@ -74,7 +65,7 @@ stop -TERM
 target/cpp-queue/queue_example "$server" "$data/queue" 500 >"$data/offline"
 expect "$data/offline" "taken 500, waiting 500, refused 0"
 start "$server"
-ask MapService/CreateMap '{"name": "office"}' >"$data/counted"
+observations create office >"$data/counted"
 expect "$data/counted" 0
 target/cpp-queue/queue_example "$server" "$data/queue" 1000 60 >"$data/online"
 expect "$data/online" "taken 1000, waiting 0, refused 0"
@@ -86,7 +77,7 @@ stop -KILL
 start "$server"
 wait "$example"
 expect "$data/killed" "taken 50000, waiting 0, refused 0"
-ask MapService/GetMap '{"name": "office"}' >"$data/counted"
+observations show office >"$data/counted"
 expect "$data/counted" 50000
 stop -TERM
 rm -rf "$data/data"

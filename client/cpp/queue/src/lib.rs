@@ -209,14 +209,15 @@ fn opened(options: &Options) -> Result<(QueuedProducer, Runtime), Reply> {
     let identity = file(&options.certificate_file)?.zip(file(&options.key_file)?);
     let token = Some(options.token.clone()).filter(|token| !token.is_empty());
     let credentials = Credentials { token, ca: file(&options.ca_file)?, identity };
+    // A client needs the runtime, too.
+    let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("tidemap").enable_all().build();
+    let runtime = runtime.map_err(|error| wrong(Problem::Other, format!("no threads for the queue: {error}")))?;
+    let entered = runtime.enter();
     let client = Client::with_credentials(&options.server, &credentials);
     let client = client.map_err(|error| wrong(Problem::Invalid, error))?;
     let sync_every = Duration::try_from_secs_f64(options.sync_secs).ok().filter(|interval| !interval.is_zero());
     let sync_every = sync_every.ok_or_else(|| wrong(Problem::Invalid, "sync_secs: use a number above 0"))?;
     let queue = QueueOptions { folder: PathBuf::from(&options.folder), bytes_max: options.bytes_max, sync_every };
-    let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("tidemap").enable_all().build();
-    let runtime = runtime.map_err(|error| wrong(Problem::Other, format!("no threads for the queue: {error}")))?;
-    let entered = runtime.enter();
     let stream = ProducerOptions::new(&options.producer, &options.label, &options.map);
     let producer = QueuedProducer::open(&client, stream, &queue).map_err(|error| reply(Err(error)))?;
     drop(entered);
