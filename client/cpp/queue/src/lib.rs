@@ -322,6 +322,7 @@ impl Queue {
         self.with(|producer| producer.send_traversal(&report))
     }
 
+    #[expect(clippy::ptr_arg, reason = "the bridge passes vectors")]
     fn send_sighting(&self, place: &str, time_nanos: i64, seen: &Vec<String>, out_of_view: &Vec<String>) -> Reply {
         let report = SightingReport {
             place: place.to_owned(),
