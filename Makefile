@@ -113,7 +113,7 @@ ros-test: wheel
 	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins
 	@$(ENV); deploy/ros_test.sh $(or $(DISTRO),kilted)
 
-## cpp-test: builds the example of client/cpp with Debian's gRPC, and runs it against a real daemon
+## cpp-test: builds the examples of client/cpp (the queue; the wire with Debian's gRPC), and runs them against a real daemon
 cpp-test:
 	@$(SETUP) cpp
 	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins

@@ -1,8 +1,9 @@
 //! Sending observations, scans and reports, each exactly once.
 //!
-//! [`Producer`] is the handle for callers. Behind it: [`window`] decides what is sent, kept and dropped, without any
-//! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link`
-//! exchanges messages with the daemon.
+//! [`Producer`] is the handle for callers; it keeps observations in memory. [`QueuedProducer`] is the handle for
+//! robots; it keeps them in files. Behind both: [`window`] decides what is sent, kept and dropped, without any I/O;
+//! [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link` exchanges
+//! messages with the daemon.
 //!
 //! Invariant: an observation gets its sequence number at once and is kept until the daemon reports that it is durable,
 //! even if connections break.
@@ -10,8 +11,10 @@
 pub mod columns;
 pub mod content;
 mod link;
+pub mod occupancy;
 mod outgoing;
 mod producer;
+mod queue;
 mod replay;
 pub mod retry;
 pub mod scan;
@@ -20,6 +23,7 @@ mod shared;
 pub mod window;
 
 pub use producer::Producer;
+pub use queue::{QueueError, QueueOptions, QueueState, QueuedProducer};
 pub use replay::Replay;
 pub use shared::{Phase, ProducerOptions, Progress};
 pub use tidemap_proto::convert::{sightings::SightingReport, traversals::TraversalReport};

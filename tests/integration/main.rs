@@ -31,6 +31,7 @@ mod lifecycle;
 mod long_updates;
 mod own_file;
 mod page;
+mod queue;
 mod random_operations;
 mod reachable;
 mod reports;

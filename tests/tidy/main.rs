@@ -142,9 +142,10 @@ const CRATES: [(&str, &str, &[&str]); 26] = [
     ("tests/planted_fault", "tidemapd-planted-fault", &["tidemapd", "tidemap-store"]),
 ];
 
-/// Crates with a workspace of their own, so that `cargo build` needs neither Python nor a fuzzer. Nothing depends on
-/// them.
-const APART: [(&str, &str, &[&str]); 2] = [
+/// Crates with a workspace of their own, so that `cargo build` needs neither Python nor C++ nor a fuzzer. Nothing
+/// depends on them.
+const APART: [(&str, &str, &[&str]); 3] = [
+    ("client/cpp/queue", "tidemap-cpp", &["tidemap-client"]),
     ("client/python", "tidemap-python", &["tidemap-client", "tidemap-model", "tidemap-proto"]),
     (
         "tests/fuzz",

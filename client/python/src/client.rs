@@ -4,6 +4,7 @@
 
 use std::{
     collections::HashMap,
+    path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -13,7 +14,7 @@ use pyo3::{prelude::*, types::PyDict};
 use tidemap_client::{
     Client,
     connection::Credentials,
-    observe::{Producer, ProducerOptions, SightingReport, TraversalReport},
+    observe::{Producer, ProducerOptions, QueueOptions, QueuedProducer, SightingReport, TraversalReport},
     queries::{GridOutput, GridQuery, PredictionRun, Predictions},
 };
 
@@ -21,6 +22,7 @@ use crate::{
     failure, grids,
     observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
     open_producer::{Driven, OpenProducer},
+    queue::NativeQueue,
     reports::GivenReporting,
     room::Room,
     rpc::{self, Replies, model_named},
@@ -463,5 +465,32 @@ impl NativeClient {
         let opened = wait(py, async move { Producer::open(&client, options).await }, |_| Ok(()))?;
         let producer = opened.map_err(|error| failure::producer(py, &error))?;
         Ok(OpenProducer::new(producer))
+    }
+
+    /// A producer whose observations wait in a folder until the daemon has them; does not wait for the daemon.
+    #[pyo3(signature = (map, producer, label, folder, bytes_max, sync_secs, kind=None, reporting=None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
+    fn open_queue(
+        &self,
+        py: Python<'_>,
+        map: &str,
+        producer: &str,
+        label: &str,
+        folder: PathBuf,
+        bytes_max: u64,
+        sync_secs: f64,
+        kind: Option<&str>,
+        reporting: Option<GivenReporting>,
+    ) -> PyResult<NativeQueue> {
+        let (kind, reporting) = states_of(py, kind, reporting)?;
+        let sync_every = Duration::try_from_secs_f64(sync_secs).ok().filter(|interval| !interval.is_zero());
+        let Some(sync_every) = sync_every else {
+            return Err(failure::invalid(py, &format!("an interval of {sync_secs} s: use a number above 0")));
+        };
+        let options = ProducerOptions { kind, reporting, ..ProducerOptions::new(producer, label, map) };
+        let queue = QueueOptions { folder, bytes_max, sync_every };
+        let client = self.client(py)?.0;
+        let opened = wait(py, async move { QueuedProducer::open(&client, options, &queue) }, |_| Ok(()))?;
+        Ok(NativeQueue::new(opened.map_err(|error| failure::queue(py, &error))?))
     }
 }

@@ -3,7 +3,10 @@
 //! Invariant: an exception has the words of the daemon or of the client library, and the code that programs decide by.
 
 use pyo3::prelude::*;
-use tidemap_client::{Error, observe::ProducerError};
+use tidemap_client::{
+    Error,
+    observe::{ProducerError, QueueError},
+};
 
 /// The exception for a code of gRPC, made by `tidemap.errors`.
 pub(crate) fn exception(py: Python<'_>, code: &str, message: &str) -> PyErr {
@@ -58,6 +61,22 @@ pub(crate) fn producer(py: Python<'_>, error: &ProducerError) -> PyErr {
         ProducerError::Other(error) => return request(py, error),
         ProducerError::Storage(_) => "UNAVAILABLE",
         _ => "INVALID_ARGUMENT",
+    };
+    exception(py, code, &error.to_string())
+}
+
+/// Why the queue did not take an observation, or cannot be used.
+pub(crate) fn queue(py: Python<'_>, error: &QueueError) -> PyErr {
+    let code = match error {
+        QueueError::Full { .. } => "RESOURCE_EXHAUSTED",
+        QueueError::InUse { .. } => "ALREADY_EXISTS",
+        QueueError::OtherStream { .. } | QueueError::Closed => "FAILED_PRECONDITION",
+        QueueError::Damaged { .. } => "DATA_LOSS",
+        QueueError::StillWaiting { .. } => "UNAVAILABLE",
+        QueueError::Occupancy(_) => "INVALID_ARGUMENT",
+        QueueError::Producer(error) => return producer(py, error),
+        QueueError::Unreachable(error) | QueueError::Map(error) => return request(py, error),
+        _ => "INTERNAL",
     };
     exception(py, code, &error.to_string())
 }

@@ -12,6 +12,7 @@ mod grids;
 mod models;
 mod observe;
 mod open_producer;
+mod queue;
 mod reports;
 mod room;
 mod rpc;
@@ -22,6 +23,7 @@ mod zones;
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<client::NativeClient>()?;
     module.add_class::<open_producer::OpenProducer>()?;
+    module.add_class::<queue::NativeQueue>()?;
     module.add_class::<rpc::Replies>()?;
     module.add_class::<models::NativeModel>()?;
     module.add_function(wrap_pyfunction!(rpc::model_request, module)?)?;

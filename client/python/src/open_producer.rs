@@ -9,7 +9,7 @@ use pyo3::{prelude::*, types::PyDict};
 use tidemap_client::{
     maps::CellBox,
     observe::{
-        Phase, Producer, ProducerError, TraversalReport,
+        Phase, Producer, ProducerError, Refusal, TraversalReport,
         scan::{Isometry3, PointCloud, Quaternion, RangeScan, Scan, Translation3, UnitQuaternion},
     },
 };
@@ -26,7 +26,7 @@ pub(crate) type Driven = (String, String, String, i64, i64, bool, String);
 const QUATERNION_MIN: f64 = 1e-6;
 
 /// A refusal: its number, the name of its reason and the reason in words.
-type Refused = (u64, Option<String>, String);
+pub(crate) type Refused = (u64, Option<String>, String);
 
 /// The work of a call with the producer.
 type Work<'a, T> = Pin<Box<dyn Future<Output = Result<T, ProducerError>> + Send + 'a>>;
@@ -75,7 +75,7 @@ impl OpenProducer {
 }
 
 /// The pose of x, y, z in metres and a quaternion x, y, z, w.
-fn pose_from(py: Python<'_>, [x, y, z, qx, qy, qz, qw]: [f64; 7]) -> PyResult<Isometry3<f64>> {
+pub(crate) fn pose_from(py: Python<'_>, [x, y, z, qx, qy, qz, qw]: [f64; 7]) -> PyResult<Isometry3<f64>> {
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     if ![x, y, z].iter().all(|metres| metres.is_finite()) || !quaternion.norm().is_finite() {
         return Err(failure::invalid(py, &format!("the pose {x}, {y}, {z}, {qx}, {qy}, {qz}, {qw} is not finite")));
@@ -132,13 +132,13 @@ impl OpenProducer {
         max_range_m: f32,
         frame_id: String,
     ) -> PyResult<u64> {
-        let points = xyz_m.as_array();
-        if points.ncols() != 3 {
-            let message = format!("points with {} coordinates: they have three, x, y and z", points.ncols());
-            return Err(failure::invalid(py, &message));
-        }
-        let xyz_m = points.iter().copied().collect();
-        let cloud = PointCloud { pose: pose_from(py, pose)?, frame_id, xyz_m, min_range_m, max_range_m };
+        let cloud = PointCloud {
+            pose: pose_from(py, pose)?,
+            frame_id,
+            xyz_m: points_of(py, &xyz_m)?,
+            min_range_m,
+            max_range_m,
+        };
         self.scan(py, time_nanos, Scan::Cloud(cloud))
     }
 
@@ -151,19 +151,25 @@ impl OpenProducer {
         cells: PyReadonlyArray3<'_, i8>,
         first_cell: [i32; 3],
     ) -> PyResult<u64> {
-        let cells = cells.as_array();
-        let Some(shown) = shown(cells.shape(), first_cell) else {
-            let message = format!("a grid of {:?} cells from cell {first_cell:?} does not exist", cells.shape());
-            return Err(failure::invalid(py, &message));
-        };
-        let tiles = grids::seen_tiles(cells, first_cell);
-        self.scan(py, time_nanos, Scan::Map { tiles, shown })
+        let scan = seen_map(py, &cells, first_cell)?;
+        self.scan(py, time_nanos, scan)
+    }
+
+    /// Takes a label of a categorical state.
+    fn send_label(&self, py: Python<'_>, state: String, time_nanos: i64, label: String) -> PyResult<u64> {
+        self.with(py, move |producer| Box::pin(async move { producer.send_label(&state, time_nanos, &label).await }))
+    }
+
+    /// Takes a position: the coordinates x and y, or x, y and z, in metres.
+    fn send_position(&self, py: Python<'_>, state: String, time_nanos: i64, coordinates: Vec<f64>) -> PyResult<u64> {
+        self.with(py, move |producer| {
+            Box::pin(async move { producer.send_position(&state, time_nanos, &coordinates).await })
+        })
     }
 
     /// Takes a traversal of an edge.
     fn send_traversal(&self, py: Python<'_>, driven: Driven) -> PyResult<u64> {
-        let (from, to, action, start_nanos, end_nanos, success, reason) = driven;
-        let report = TraversalReport { from, to, action, start_nanos, end_nanos, success, reason };
+        let report = traversal(driven);
         self.with(py, move |producer| Box::pin(async move { producer.send_traversal(&report).await }))
     }
 
@@ -192,10 +198,7 @@ impl OpenProducer {
     /// The refusals since the last call.
     fn take_refusals(&self, py: Python<'_>) -> PyResult<Vec<Refused>> {
         let taken = self.with(py, |producer| Box::pin(std::future::ready(Ok(producer.take_refusals()))))?;
-        let row = |refusal: tidemap_client::observe::Refusal| {
-            (refusal.sequence, refusal.reason.map(|reason| format!("{reason:?}")), refusal.detail)
-        };
-        Ok(taken.into_iter().map(row).collect())
+        Ok(taken.into_iter().map(refused).collect())
     }
 
     /// Waits until everything that was taken is durable, and returns the number of the last.
@@ -223,6 +226,36 @@ impl OpenProducer {
         let producer = Arc::clone(&self.producer);
         wait(py, async move { drop(producer.lock().await.take()) }, |_| Ok(()))
     }
+}
+
+/// A refusal for Python.
+pub(crate) fn refused(refusal: Refusal) -> Refused {
+    (refusal.sequence, refusal.reason.map(|reason| format!("{reason:?}")), refusal.detail)
+}
+
+/// A traversal of Python.
+pub(crate) fn traversal((from, to, action, start_nanos, end_nanos, success, reason): Driven) -> TraversalReport {
+    TraversalReport { from, to, action, start_nanos, end_nanos, success, reason }
+}
+
+/// The points of a cloud: rows x, y, z.
+pub(crate) fn points_of(py: Python<'_>, xyz_m: &PyReadonlyArray2<'_, f32>) -> PyResult<Vec<f32>> {
+    let points = xyz_m.as_array();
+    if points.ncols() != 3 {
+        let message = format!("points with {} coordinates: they have three, x, y and z", points.ncols());
+        return Err(failure::invalid(py, &message));
+    }
+    Ok(points.iter().copied().collect())
+}
+
+/// A grid that was seen, in cells of the map; axes z, y, x.
+pub(crate) fn seen_map(py: Python<'_>, cells: &PyReadonlyArray3<'_, i8>, first_cell: [i32; 3]) -> PyResult<Scan> {
+    let cells = cells.as_array();
+    let Some(shown) = shown(cells.shape(), first_cell) else {
+        let message = format!("a grid of {:?} cells from cell {first_cell:?} does not exist", cells.shape());
+        return Err(failure::invalid(py, &message));
+    };
+    Ok(Scan::Map { tiles: grids::seen_tiles(cells, first_cell), shown })
 }
 
 /// The cells of a grid of this shape (z, y, x); `None`: their indices do not exist.

@@ -22,7 +22,7 @@ from tidemap.errors import (
     Unauthenticated,
     Unavailable,
 )
-from tidemap.producer import Producer
+from tidemap.producer import Producer, QueuedProducer, QueueState
 
 __all__ = [
     "AlreadyExists",
@@ -38,6 +38,8 @@ __all__ = [
     "PermissionDenied",
     "Predictions",
     "Producer",
+    "QueueState",
+    "QueuedProducer",
     "ResourceExhausted",
     "TidemapError",
     "Topology",

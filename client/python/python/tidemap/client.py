@@ -6,8 +6,9 @@ the daemon's words.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -15,9 +16,9 @@ from tidemap import advice, frames
 from tidemap import reports as _reports
 from tidemap import times as _times
 from tidemap.answers import Map, Observed, observed
-from tidemap.errors import InvalidArgument, TidemapError
+from tidemap.errors import InvalidArgument, TidemapError, Unavailable
 from tidemap.landmarks import Landmarks
-from tidemap.producer import Producer
+from tidemap.producer import Producer, QueuedProducer
 from tidemap.questions import Questions
 from tidemap.reports import Duration, Reports
 from tidemap.routes import Routes
@@ -217,6 +218,7 @@ class Client(Questions, Routes, Landmarks, Tasks):
         nanos = self._nanos(map, times, zone)
         return observed(self._native.observe_grids(map, nanos, cells, first_cell, producer, label, nightly))
 
+    @overload
     def producer(
         self,
         map: str,
@@ -229,15 +231,74 @@ class Client(Questions, Routes, Landmarks, Tasks):
         hold_max: Duration | None = None,
         hold_step: Duration | None = None,
         patience_secs: float = 60.0,
+        queue: None = None,
+    ) -> Producer: ...
+
+    @overload
+    def producer(
+        self,
+        map: str,
+        producer: str = "python",
+        label: str = "live",
+        *,
+        kind: str | None = None,
+        zone: str | None = None,
+        reports: Reports | None = None,
+        hold_max: Duration | None = None,
+        hold_step: Duration | None = None,
+        queue: str | os.PathLike[str],
+        queue_bytes_max: int = 1 << 30,
+        queue_sync_secs: float = 1.0,
+    ) -> QueuedProducer: ...
+
+    def producer(
+        self,
+        map: str,
+        producer: str = "python",
+        label: str = "live",
+        *,
+        kind: str | None = None,
+        zone: str | None = None,
+        reports: Reports | None = None,
+        hold_max: Duration | None = None,
+        hold_step: Duration | None = None,
+        patience_secs: float = 60.0,
+        queue: str | os.PathLike[str] | None = None,
+        queue_bytes_max: int = 1 << 30,
+        queue_sync_secs: float = 1.0,
     ) -> Producer:
         """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as in :meth:`observe`.
 
         If the daemon cannot be reached, the producer tries again for ``patience_secs`` before it gives up.
+
+        With ``queue``, the name of a folder, observations wait in files there until the daemon has them: they survive
+        the end of this program and, after ``queue_sync_secs``, a power cut. The producer is a
+        :class:`tidemap.QueuedProducer`, which does not wait for the daemon and never gives up. More than
+        ``queue_bytes_max`` bytes are refused. Each producer needs a folder of its own. Use times with a zone, or set
+        ``zone``: the zone of the map is not known before the daemon was reached.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = None if stated is None else stated.native()
+        reported = "samples" if stated is None else stated.kind
+        if queue is not None:
+            folder = os.fspath(queue)
+            kept = self._native.open_queue(
+                map, producer, label, folder, queue_bytes_max, queue_sync_secs, kind, said
+            )
+            return QueuedProducer(kept, zone, lambda: self._zone_offline(map), reported)
         native = self._native.open_producer(map, producer, label, kind, said, patience_secs)
-        return Producer(native, zone, lambda: self._zone(map), "samples" if stated is None else stated.kind)
+        return Producer(native, zone, lambda: self._zone(map), reported)
+
+    def _zone_offline(self, map: str) -> str:
+        """The zone of a map, for a program that may run without the daemon."""
+        try:
+            return self._zone(map)
+        except Unavailable as error:
+            raise Unavailable(
+                f"the zone of the map {map} is not known yet: use times with a zone, or open the producer with "
+                f"zone=\"UTC\" ({error})",
+                "UNAVAILABLE",
+            ) from None
 
     def update(self, map: str, until: Time | None = None, *, zone: str | None = None) -> dict[str, Any]:
         """Learns the new observations, as the nightly update does, and waits until this ends; returns the job."""

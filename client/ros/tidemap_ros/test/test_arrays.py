@@ -118,40 +118,6 @@ def test_percent_become_seen_cells():
         arrays.seen_cells(occupancy([[0]], resolution=0.0))
 
 
-CELLS = np.array([[0, 1, -1], [-1, 0, 1]], dtype=np.int8)
-
-
-def test_a_grid_of_the_same_cells_stays_as_it_is():
-    found, first = arrays.in_cells_of_map(CELLS, poses.from_yaw(1.5, -1.0, 0), 0.5, 0.5, (0, 0, 0))
-    assert found.tolist() == CELLS.tolist() and first == (3, -2, 0)
-    # Numbers as they come from a file: 0.05 is no binary fraction.
-    found, first = arrays.in_cells_of_map(CELLS, poses.from_yaw(0.15, 0.3, 0), 0.05, 0.05, (-0.1, 0.0, 0))
-    assert found.tolist() == CELLS.tolist() and first == (5, 6, 0)
-
-
-def test_larger_cells_fill_all_cells_of_the_map():
-    found, first = arrays.in_cells_of_map(CELLS, poses.from_yaw(0, 0, 0), 1.0, 0.5, (0, 0, 0))
-    assert found.tolist() == np.repeat(np.repeat(CELLS, 2, 0), 2, 1).tolist() and first == (0, 0, 0)
-
-
-def test_of_smaller_cells_an_occupied_one_decides():
-    small = np.array([[0, 1, -1, -1], [0, 0, -1, 0]], dtype=np.int8)
-    found, _ = arrays.in_cells_of_map(small, poses.from_yaw(0, 0, 0), 0.25, 0.5, (0, 0, 0))
-    assert found.tolist() == [[1, 0]]
-
-
-def test_a_turned_grid_lies_where_its_pose_says():
-    # A quarter turn: the grid's x is the map's y.
-    found, first = arrays.in_cells_of_map(CELLS, poses.from_yaw(2, 0, math.pi / 2), 0.5, 0.5, (0, 0, 0))
-    assert found.tolist() == CELLS.T[:, ::-1].tolist()
-    assert first == (2, 0, 0)
-    # Half of a right angle: no cell of a large area is left out.
-    area = np.zeros((20, 20), dtype=np.int8)
-    found, first = arrays.in_cells_of_map(area, poses.from_yaw(0, 0, math.pi / 4), 0.5, 0.5, (0, 0, 0))
-    middle = found[14 - 5 : 14 + 5, -first[0] - 5 : -first[0] + 5]
-    assert (middle == 0).all()
-
-
 def test_a_map_has_three_values_or_percents():
     values = np.array([[np.nan, 0.0, 0.25, 0.5, 0.65, 1.0]])
     assert arrays.three_values(values, 0.65, 0.25).tolist() == [[-1, 0, 0, -1, 100, 100]]

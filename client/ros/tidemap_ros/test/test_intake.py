@@ -10,10 +10,10 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
+import tidemap
 from tidemap_ros import records
 from tidemap_ros.intake import Intake
 from tidemap_ros.parameters import Settings
-from tidemap_ros.spool import Spool
 from tidemap_ros.transforms import Transforms
 
 SECOND = 1_000_000_000
@@ -21,19 +21,21 @@ NOW = 1_767_614_400 * SECOND
 
 
 class Bench:
-    """An intake with a clock that a test sets."""
+    """An intake with a clock that a test sets, and room for a number of records."""
 
-    def __init__(self, folder, megabytes: float = 1, **parameters) -> None:
-        self.spool = Spool(folder, int(megabytes * 1e6))
+    def __init__(self, room: int = 1000, **parameters) -> None:
+        self.taken: list[records.Record] = []
+        self.room = room
         self.seconds, self.now = 0.0, NOW
         self.log: list[str] = []
         self.intake = Intake(
-            Settings(parameters), self.spool, Transforms(), lambda: self.now, lambda: self.seconds, self.log.append
+            Settings(parameters), self.put, Transforms(), lambda: self.now, lambda: self.seconds, self.log.append
         )
 
-    @property
-    def taken(self) -> list[records.Record]:
-        return [records.decoded(self.spool.read(None, number)[0]) for number in range(1, self.spool.last + 1)]
+    def put(self, record: records.Record) -> None:
+        if len(self.taken) >= self.room:
+            raise tidemap.ResourceExhausted("the queue is full", "RESOURCE_EXHAUSTED")
+        self.taken.append(record)
 
     def tf(self, parent: str, child: str, x: float, at: int, is_static: bool = False) -> None:
         self.intake.transform(Message(
@@ -43,8 +45,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path):
-    return Bench(tmp_path)
+def bench():
+    return Bench()
 
 
 def header(frame: str, nanos: int):
@@ -91,19 +93,19 @@ def test_a_scan_without_a_transform_is_left_out_and_counted(bench):
     assert len(bench.log) == 1, "one line for a reason, not one for a scan"
 
 
-def test_limits_of_ranges_are_the_tighter_ones(tmp_path):
-    bench = Bench(tmp_path, min_range=0.3, max_range=10.0)
+def test_limits_of_ranges_are_the_tighter_ones():
+    bench = Bench(min_range=0.3, max_range=10.0)
     bench.intake.scan("scan", scan(NOW, frame="map"))
     bench.intake.scan("scan", scan(NOW, frame="map", range_min=0.5, range_max=5.0))
     bench.intake.scan("scan", scan(NOW, frame="map", range_max=math.inf))
     assert [(one.min_range_m, one.max_range_m) for one in bench.taken] == [(0.3, 10.0), (0.5, 5.0), (0.3, 10.0)]
-    without = Bench(tmp_path / "other")
+    without = Bench()
     without.intake.scan("scan", scan(NOW, frame="map", range_max=0.0))
     assert without.intake.counts.reasons == {"malformed": 1} and "max_range" in without.log[0]
 
 
-def test_a_period_thins_out_each_topic_for_itself(tmp_path):
-    bench = Bench(tmp_path, scan_period=1.0)
+def test_a_period_thins_out_each_topic_for_itself():
+    bench = Bench(scan_period=1.0)
     for tenth in range(30):
         bench.intake.scan("front", scan(NOW + tenth * SECOND // 10, frame="map"))
     bench.intake.scan("back", scan(NOW, frame="map"))
@@ -121,8 +123,8 @@ def cloud(points, at: int = NOW):
     )
 
 
-def test_clouds_keep_the_points_between_the_heights(tmp_path):
-    bench = Bench(tmp_path, cloud_min_height=0.1, cloud_max_height=1.8, cloud_cell=0.5)
+def test_clouds_keep_the_points_between_the_heights():
+    bench = Bench(cloud_min_height=0.1, cloud_max_height=1.8, cloud_cell=0.5)
     bench.intake.cloud("points", cloud([[1, 0, 0], [1, 0, 1], [1.1, 0, 1], [1, 0, 2]]))
     bench.intake.cloud("points", cloud([[1, 0, 0]]))
     bench.intake.cloud("points", cloud([]))
@@ -183,12 +185,12 @@ def test_doors_are_readings_when_they_change_and_now_and_then(bench):
     assert bench.taken[0].state == "lab_1" and bench.intake.counts.thinned == 3
 
 
-def test_what_the_spool_refuses_is_counted_as_lost(tmp_path):
-    bench = Bench(tmp_path, megabytes=0.0003)
+def test_what_the_queue_refuses_is_counted_as_lost():
+    bench = Bench(room=3)
     for _ in range(5):
         bench.intake.observe('{"state": "door", "value": 1}')
     counts = bench.intake.counts
-    assert counts.taken + counts.spool_refused == 5 and counts.spool_refused >= 2 and "full" in counts.last_problem
+    assert (counts.taken, counts.spool_refused) == (3, 2) and "full" in counts.last_problem
     assert len(bench.log) == 1
 
 
@@ -201,8 +203,8 @@ def test_grids_keep_the_pose_of_their_corner(bench):
     assert taken.pose[:3] == (11.0, 2.0, 0.0) and taken.cells.tolist() == [[-1, 1]] and taken.resolution_m == 0.5
 
 
-def test_before_the_first_time_on_clock_nothing_is_observed_in_1970(tmp_path):
-    bench = Bench(tmp_path)
+def test_before_the_first_time_on_clock_nothing_is_observed_in_1970():
+    bench = Bench()
     bench.now = 0
     bench.intake.observe(json.dumps({"state": "door", "value": 1}))
     assert bench.taken == [] and bench.intake.counts.reasons == {"no time": 1} and "/clock" in bench.log[0]

@@ -130,52 +130,6 @@ def seen_cells(grid: Any) -> Cells:
     return cells.reshape(height, width)
 
 
-def in_cells_of_map(
-    cells: Cells, corner: Pose, resolution_m: float, map_resolution_m: float, map_origin_m: tuple[float, float, float],
-) -> tuple[Cells, tuple[int, int, int]]:
-    """A grid at any pose, in the cells of the map; and the index x, y, z of its first cell there.
-
-    A cell of the map is occupied if anything in it is occupied, and free if something in it is free and nothing is
-    occupied.
-    """
-    # Cells that are larger than the cells of the map are divided, so that no cell of the map is left out between.
-    parts = max(1, math.ceil(resolution_m / map_resolution_m - 1e-6))
-    turned = abs(math.sin(2 * poses.yaw_rad(corner))) > 1e-6
-    if turned:
-        parts *= 2
-    if cells.size * parts * parts > CELLS_MAX:
-        shape = " x ".join(map(str, cells.shape))
-        raise BadMessage(f"a grid of {shape} cells of {resolution_m} m is too large for cells of {map_resolution_m} m")
-    known_y, known_x = np.nonzero(cells >= 0)
-    occupied = cells[known_y, known_x] > 0
-    edge = resolution_m / parts
-    inner = (np.arange(parts) + 0.5) * edge
-    first_z = math.floor((corner[2] - map_origin_m[2]) / map_resolution_m + 1e-6)
-    matrix = poses.rotation(corner)
-    size_y, size_x = cells.shape
-    corners = poses.applied(corner, np.array(
-        [[x * resolution_m, y * resolution_m, 0.0] for x in (0, size_x) for y in (0, size_y)]
-    ))
-    origin = np.array(map_origin_m[:2])
-    low = np.floor((corners[:, :2].min(axis=0) - origin) / map_resolution_m + 1e-6).astype(np.int64)
-    high = np.ceil((corners[:, :2].max(axis=0) - origin) / map_resolution_m - 1e-6).astype(np.int64)
-    width, height = (int(count) for count in np.maximum(high - low, 1))
-    if width * height > CELLS_MAX:
-        raise BadMessage(f"a grid of {width} x {height} cells of the map; at most {CELLS_MAX} are taken")
-    found = np.full((height, width), -1, dtype=np.int8)
-    for dy in inner:
-        for dx in inner:
-            x, y = known_x * resolution_m + dx, known_y * resolution_m + dy
-            at_x = matrix[0, 0] * x + matrix[0, 1] * y + corner[0]
-            at_y = matrix[1, 0] * x + matrix[1, 1] * y + corner[1]
-            column = np.floor((at_x - origin[0]) / map_resolution_m).astype(np.int64) - low[0]
-            row = np.floor((at_y - origin[1]) / map_resolution_m).astype(np.int64) - low[1]
-            inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-            flat = row[inside] * width + column[inside]
-            np.maximum.at(found.ravel(), flat, occupied[inside].astype(np.int8))
-    return found, (int(low[0]), int(low[1]), first_z)
-
-
 def percents(values: npt.NDArray[np.floating[Any]]) -> Cells:
     """Probabilities as 0 to 100, and -1 where nothing is known."""
     known = np.isfinite(values)

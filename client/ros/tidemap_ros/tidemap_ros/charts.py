@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tidemap_ros import arrays, clock_words
 from tidemap_ros.parameters import Settings
-from tidemap_ros.sender import MapGrid
+from tidemap_ros.records import MapGrid
 
 Floats = npt.NDArray[np.float64]
 

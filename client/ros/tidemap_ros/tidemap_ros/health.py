@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from tidemap import QueueState
 from tidemap_ros.intake import Counts
-from tidemap_ros.sender import SenderState
 
 OK, WARN, ERROR = 0, 1, 2
 NEARLY_FULL = 0.8
@@ -24,7 +24,7 @@ class Status:
     values: dict[str, str] = field(default_factory=dict)
 
 
-def of_sending(state: SenderState, now_nanos: int, server: str) -> Status:
+def of_sending(state: QueueState, now_nanos: int, server: str) -> Status:
     """Whether the daemon takes the records that are sent."""
     found = Status("daemon", OK, f"connected to {server}")
     if not state.connected:
@@ -34,19 +34,20 @@ def of_sending(state: SenderState, now_nanos: int, server: str) -> Status:
     oldest = state.oldest_waiting_nanos
     found.values = {
         "server": server,
-        "records waiting": str(state.waiting_records),
+        "records waiting": str(state.waiting),
         "oldest waits for seconds": "0" if oldest is None else f"{max(now_nanos - oldest, 0) / 1e9:.1f}",
-        "records durable": str(state.durable_records),
+        "records durable": str(state.durable),
         "records refused": str(state.refused),
         "records unsendable": str(state.unsendable),
         "durable without a word on refusals": str(state.unreported),
-        **{f"refused: {reason}": str(count) for reason, count in sorted(state.reasons.items())},
+        **{f"refused: {reason}": str(count) for reason, count in sorted(state.refused_by_reason.items())},
     }
     return found
 
 
-def of_spool(folder: str, used: int, bytes_max: int, counts: Counts, lost: int, cut_bytes: int) -> Status:
-    """The fill level of the spool."""
+def of_spool(folder: str, state: QueueState, counts: Counts) -> Status:
+    """The fill level of the queue."""
+    used, bytes_max, lost = state.bytes, state.bytes_max, state.lost
     found = Status("spool", OK, f"{used / 1e6:.1f} of {bytes_max / 1e6:.1f} MB")
     if counts.spool_refused:
         found.level = ERROR
@@ -61,7 +62,7 @@ def of_spool(folder: str, used: int, bytes_max: int, counts: Counts, lost: int, 
         "bytes at most": str(bytes_max),
         "observations lost because it was full": str(counts.spool_refused),
         "records that the daemon lost": str(lost),
-        "bytes cut off at the start": str(cut_bytes),
+        "bytes cut off at the start": str(state.cut_bytes),
     }
     return found
 

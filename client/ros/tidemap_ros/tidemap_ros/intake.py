@@ -16,12 +16,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import tidemap
 from tidemap import frames
 from tidemap_ros import arrays, clock_words, poses, records
 from tidemap_ros.parameters import Settings
 from tidemap_ros.poses import BadPose, Pose
-from tidemap_ros.sender import MapGrid
-from tidemap_ros.spool import Full, Spool
+from tidemap_ros.records import MapGrid
 from tidemap_ros.transforms import NotYet, NoTransform, Transforms
 
 WAITING_MAX = 256
@@ -43,7 +43,7 @@ class Counts:
     never_arrived: int = 0
     """Messages that ROS reports as lost before the node had them."""
     spool_refused: int = 0
-    """Observations that the spool had no room for: lost."""
+    """Observations that the queue did not take, because it was full or the disk failed: lost."""
     last_problem: str = ""
 
 
@@ -63,19 +63,19 @@ def stamp_nanos(stamp: Any) -> int:
 
 
 class Intake:
-    """Takes messages into the spool. ``clock`` gives ROS time in nanoseconds, ``monotonic`` seconds."""
+    """Takes messages into the queue by ``put``. ``clock`` gives ROS time in nanoseconds, ``monotonic`` seconds."""
 
     def __init__(
         self,
         settings: Settings,
-        spool: Spool,
+        put: Callable[[records.Record], object],
         transforms: Transforms,
         clock: Callable[[], int],
         monotonic: Callable[[], float],
         log: Callable[[str], object],
     ) -> None:
         self._settings = settings
-        self._spool = spool
+        self._put = put
         self._transforms = transforms
         self._clock = clock
         self._monotonic = monotonic
@@ -179,7 +179,7 @@ class Intake:
             return self._left_out("malformed", str(error))
         resolution = float(message.info.resolution)
         self._placed(message, stamp, lambda pose: records.Picture(
-            stamp, poses.product(pose, corner), self._settings.text("map_frame"), resolution, cells
+            stamp, poses.product(pose, corner), resolution, cells
         ))
 
     def observe(self, text: str) -> None:
@@ -283,15 +283,17 @@ class Intake:
             self.take(record)
 
     def take(self, record: records.Record) -> None:
-        """Takes a record into the spool."""
+        """Takes a record into the queue."""
         nanos = records.time_of(record)
         if nanos == 0:
             return self._left_out("no time", "an observation without a stamp, while nothing has come on /clock")
         if not 0 <= nanos < 2**63:
             return self._left_out("malformed", f"the time {nanos} ns is before 1970 or after 2262")
         try:
-            self._spool.append(records.encoded(record))
-        except (Full, OSError) as error:
+            self._put(record)
+        except tidemap.InvalidArgument as error:
+            return self._left_out("malformed", str(error))
+        except (tidemap.TidemapError, OSError) as error:
             with self._lock:
                 if self._counts.spool_refused == 0:
                     self._log(f"an observation is lost: {error}")

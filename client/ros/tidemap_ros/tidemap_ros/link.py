@@ -11,10 +11,8 @@ from typing import Any
 
 import tidemap
 from tidemap.client import Client
-from tidemap.producer import Producer
-from tidemap_ros.charts import grid_of
+from tidemap.producer import QueuedProducer
 from tidemap_ros.parameters import BadParameter, Settings
-from tidemap_ros.sender import PATIENCE_SECS, MapGrid
 
 
 class Link:
@@ -30,7 +28,8 @@ class Link:
             self.client = Client(settings.text("server"), **credentials)
         except tidemap.TidemapError as error:
             raise BadParameter(f"the parameter server is {settings.text('server')!r}: {error}") from None
-        self._is_there = False
+        self.needs_map = settings.flag("create_map")
+        """Whether the map may have to be created."""
 
     @property
     def producer_name(self) -> str:
@@ -39,7 +38,7 @@ class Link:
 
     def ensure_map(self) -> None:
         """Creates the map if the parameters say so."""
-        if self._is_there or not self._settings.flag("create_map"):
+        if not self.needs_map:
             return
         settings = self._settings
         try:
@@ -50,19 +49,15 @@ class Link:
             )
         except tidemap.AlreadyExists:
             pass
-        self._is_there = True
+        self.needs_map = False
 
-    def open_producer(self) -> Producer:
-        """An open producer; raises the error of the daemon, or of the missing connection."""
-        self.ensure_map()
+    def open_queue(self, folder: Path, bytes_max: int, sync_secs: float) -> QueuedProducer:
+        """The producer with its queue; does not wait for the daemon."""
         # Times are numbers of nanoseconds, which have no zone.
         return self.client.producer(
-            self._settings.text("map"), self.producer_name, self._settings.text("label"), patience_secs=PATIENCE_SECS
+            self._settings.text("map"), self.producer_name, self._settings.text("label"), queue=folder,
+            queue_bytes_max=bytes_max, queue_sync_secs=sync_secs,
         )
-
-    def grid_of_map(self) -> MapGrid | None:
-        """The grid of the map."""
-        return grid_of(self.map())
 
     def map(self) -> dict[str, Any]:
         """The map, as the daemon describes it."""

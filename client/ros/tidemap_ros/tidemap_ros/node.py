@@ -27,8 +27,7 @@ from tidemap_ros.intake import Intake
 from tidemap_ros.link import Link
 from tidemap_ros.outputs import Outputs
 from tidemap_ros.parameters import TABLE, BadParameter, Settings, checked
-from tidemap_ros.sender import Sender
-from tidemap_ros.spool import Spool, SpoolError
+from tidemap_ros.queue import Queue
 from tidemap_ros.transforms import Transforms
 
 CHANGEABLE = ("map_time", "map_output")
@@ -42,8 +41,7 @@ class TidemapNode(Node):  # type: ignore[misc]
 
     def __init__(self, **options: Any) -> None:
         super().__init__("tidemap", **options)
-        self._spool: Spool | None = None
-        self._sender: Sender | None = None
+        self._queue: Queue | None = None
         try:
             self._start()
         except BaseException:
@@ -55,16 +53,12 @@ class TidemapNode(Node):  # type: ignore[misc]
         clock_words.nanos(settings.text("map_time"), time.time_ns())
         self._settings, self._link = settings, Link(settings)
         log = self.get_logger().warning
-        folder = settings.spool_folder(self._link.producer_name)
-        self._spool = spool = Spool(folder, int(settings.number("spool_megabytes") * 1e6))
+        self._queue = queue = Queue(settings, self._link, log)
         transforms = Transforms(settings.number("tf_kept"), settings.number("tf_tolerance"))
         self._intake = Intake(
-            settings, spool, transforms, lambda: int(self.get_clock().now().nanoseconds), time.monotonic, log
+            settings, queue.put, transforms, lambda: int(self.get_clock().now().nanoseconds), time.monotonic, log
         )
-        self._sender = sender = Sender(
-            spool, self._link.open_producer, self._link.grid_of_map, settings.number("spool_sync_seconds"), log
-        )
-        self._intake.grid_of_map = lambda: sender.grid
+        self._intake.grid_of_map = lambda: queue.grid
         inputs = Inputs(self, settings, self._intake, self._link)
         self._outputs = Outputs(self, settings, self._link, inputs)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -73,7 +67,6 @@ class TidemapNode(Node):  # type: ignore[misc]
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
         self.add_on_set_parameters_callback(self._changed)
-        self._sender.start()
 
     def _declared(self) -> dict[str, Any]:
         values: dict[str, Any] = {}
@@ -98,13 +91,13 @@ class TidemapNode(Node):  # type: ignore[misc]
         return SetParametersResult(successful=True)
 
     def _diagnose(self) -> None:
-        spool, sender = self._spool, self._sender
-        if spool is None or sender is None:
+        queue = self._queue
+        if queue is None:
             return
-        now, counts = int(self.get_clock().now().nanoseconds), self._intake.counts
+        state, now, counts = queue.state, int(self.get_clock().now().nanoseconds), self._intake.counts
         statuses = [
-            health.of_sending(sender.state, now, self._settings.text("server")),
-            health.of_spool(str(spool.folder), spool.bytes, spool.bytes_max, counts, spool.lost, spool.cut_bytes),
+            health.of_sending(state, now, self._settings.text("server")),
+            health.of_spool(str(queue.folder), state, counts),
             health.of_intake(counts, self._intake.waiting),
             *self._outputs.statuses,
         ]
@@ -113,10 +106,8 @@ class TidemapNode(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """Ends the started parts. Waiting records stay on the disk."""
-        if self._sender is not None and self._sender.is_alive():
-            self._sender.stop()
-        if self._spool is not None:
-            self._spool.close()
+        if self._queue is not None:
+            self._queue.close()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -128,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = TidemapNode()
-    except (BadParameter, BadGraph, clock_words.BadTime, SpoolError) as error:
+    except (BadParameter, BadGraph, clock_words.BadTime) as error:
         print(f"tidemap_node: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 2

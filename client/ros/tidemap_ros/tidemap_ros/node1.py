@@ -29,8 +29,7 @@ from tidemap_ros.charts import Charts, NoMap, moment
 from tidemap_ros.intake import Intake
 from tidemap_ros.link import Link
 from tidemap_ros.parameters import TABLE, BadParameter, Settings, checked
-from tidemap_ros.sender import Sender
-from tidemap_ros.spool import Spool, SpoolError
+from tidemap_ros.queue import Queue
 from tidemap_ros.transforms import Transforms
 
 TICK_SECS = 0.2
@@ -46,15 +45,10 @@ class Node:
         settings = Settings({known.name: rospy.get_param(f"~{known.name}", known.default) for known in TABLE})
         clock_words.nanos(settings.text("map_time"), time.time_ns())
         self._settings, self._link = settings, Link(settings)
-        folder = settings.spool_folder(self._link.producer_name)
-        self._spool = Spool(folder, int(settings.number("spool_megabytes") * 1e6))
+        self._queue = queue = Queue(settings, self._link, rospy.logwarn)
         transforms = Transforms(settings.number("tf_kept"), settings.number("tf_tolerance"))
-        self._intake = Intake(settings, self._spool, transforms, self._now, time.monotonic, rospy.logwarn)
-        self._sender = Sender(
-            self._spool, self._link.open_producer, self._link.grid_of_map, settings.number("spool_sync_seconds"),
-            rospy.logwarn,
-        )
-        self._intake.grid_of_map = lambda: self._sender.grid
+        self._intake = Intake(settings, queue.put, transforms, self._now, time.monotonic, rospy.logwarn)
+        self._intake.grid_of_map = lambda: queue.grid
         self._charts = Charts(settings, lambda: self._link.client)
         self._map_error: str | None = None
         self._maps = 0
@@ -62,7 +56,6 @@ class Node:
         self._listen()
         self._publish()
         self._actions = Actions(settings, self._link)
-        self._sender.start()
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._retry, self._show, self._diagnose)
         ]
@@ -190,12 +183,12 @@ class Node:
         return response
 
     def _diagnose(self) -> None:
-        spool, counts_of = self._spool, self._intake
+        queue, counts_of = self._queue, self._intake
         while not self._is_ending.wait(self._settings.number("diagnostics_period")):
-            counts = counts_of.counts
+            state, counts = queue.state, counts_of.counts
             statuses = [
-                health.of_sending(self._sender.state, self._now(), self._settings.text("server")),
-                health.of_spool(str(spool.folder), spool.bytes, spool.bytes_max, counts, spool.lost, spool.cut_bytes),
+                health.of_sending(state, self._now(), self._settings.text("server")),
+                health.of_spool(str(queue.folder), state, counts),
                 health.of_intake(counts, counts_of.waiting),
             ]
             if self._map is not None:
@@ -215,8 +208,7 @@ class Node:
         self._is_ending.set()
         for thread in self._threads:
             thread.join(2.0)
-        self._sender.stop()
-        self._spool.close()
+        self._queue.close()
 
 
 def main() -> int:
@@ -224,7 +216,7 @@ def main() -> int:
     rospy.init_node("tidemap")
     try:
         node = Node()
-    except (BadParameter, clock_words.BadTime, SpoolError) as error:
+    except (BadParameter, clock_words.BadTime) as error:
         print(f"tidemap_node: {error}", file=sys.stderr)
         return 2
     rospy.spin()
