@@ -531,9 +531,10 @@ pub struct Alternatives {
     /// Sum of |change of value| between readings.
     #[prost(fixed64, tag = "19")]
     pub changes_bits: u64,
-    /// The ensemble of a probability; absent where it is not enabled.
-    #[prost(message, optional, boxed, tag = "20")]
-    pub ensemble: Option<Box<super::ensemble::Ensemble>>,
+    /// The ensemble of a probability, a message with the fields of `Ensemble` of `tidemap-model`; absent where it is
+    /// not enabled.
+    #[prost(bytes = "vec", optional, tag = "20")]
+    pub ensemble: Option<Vec<u8>>,
     /// The ensemble of a state that is no probability; absent where it is not enabled.
     #[prost(message, optional, boxed, tag = "21")]
     pub numbers: Option<Box<super::ensemble::NumberEnsemble>>,

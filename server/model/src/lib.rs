@@ -40,6 +40,7 @@ mod civil;
 mod ensemble;
 mod entropy;
 mod evaluate;
+pub mod fields;
 mod gaps;
 mod hours_seen;
 mod information;
@@ -78,10 +79,7 @@ pub use belief::{
 };
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
-pub use ensemble::{
-    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels,
-    StoredForecastParts, TrainedEnsemble,
-};
+pub use ensemble::{AnyEnsemble, Ensemble, NumberEnsemble, NumberEnsembleParts, OtherModels, TrainedEnsemble};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
@@ -132,6 +130,9 @@ pub enum InvalidParts {
     /// The first observation is later than the last.
     #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
     TimesReversed { first_nanos: i64, last_nanos: i64 },
+    /// Bytes do not have the form of their field.
+    #[error("the bytes of {field} do not have their form")]
+    Bytes { field: &'static str },
     /// The number of components or the order is above [`ORDER_MAX`].
     #[error("order {found} is above {ORDER_MAX}")]
     OrderTooHigh { found: usize },

@@ -9,7 +9,7 @@ use tidemap_model::{
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::{Invalid, doubles, ensemble, numbers, trained};
+use super::{Invalid, doubles, fields, numbers, trained};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -47,7 +47,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> layout
         gains_bits: encode_gains(parts.gains),
         gaps: parts.gaps.count,
         changes_bits: parts.changes.to_bits(),
-        ensemble: parts.ensemble.as_deref().map(|parts| Box::new(ensemble::encode(parts))),
+        ensemble: parts.ensemble.map(fields::write),
         numbers: parts.numbers.as_deref().map(|parts| Box::new(numbers::encode(parts))),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
@@ -135,6 +135,7 @@ pub(crate) fn decode(
     doubles::take(&message.hours, &mut numbers);
     let (week, days) = numbers.split_at(WEEK);
     let calibrated = message.calibrated.as_ref().map(decode_calibrated).transpose()?;
+    let ensemble = message.ensemble.as_deref().map(fields::read).transpose();
     let parts = AlternativesParts {
         hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
         error_sums: message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect(),
@@ -153,7 +154,7 @@ pub(crate) fn decode(
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),
-        ensemble: message.ensemble.as_deref().map(ensemble::decode).transpose()?.map(Box::new),
+        ensemble: ensemble.map_err(|error| error.to_string())?,
         numbers: message.numbers.as_deref().map(|own| Box::new(numbers::decode(own))),
         trained: calibrated.into_iter().chain(trained::decode(&message.trained, periodicities)?).collect(),
     };

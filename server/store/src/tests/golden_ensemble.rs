@@ -35,7 +35,7 @@ fn ensemble(days: i64) -> Ensemble {
 
 pub(super) fn known(days: i64) -> StateSnapshot {
     let mut parts = alternatives(None).to_parts();
-    parts.ensemble = Some(Box::new(ensemble(days).to_parts()));
+    parts.ensemble = Some(Box::new(ensemble(days)));
     state("door", Alternatives::from_parts(parts).expect("valid"))
 }
 
