@@ -38,7 +38,6 @@
 #![allow(missing_docs, reason = "the names of the fields are sufficient")]
 
 pub mod cluster;
-pub mod ensemble;
 pub mod event;
 pub mod file;
 pub mod grid;

@@ -324,9 +324,10 @@ pub struct State {
     /// The unusual observations among those that were learned; absent if there are none.
     #[prost(message, optional, tag = "16")]
     pub surprises: Option<Surprises>,
-    /// The learned data for short-term forecasts; absent while the state is untrained.
-    #[prost(message, optional, tag = "20")]
-    pub belief: Option<Belief>,
+    /// The learned data for short-term forecasts, a message with the fields of `Belief` of `tidemap-model`; absent
+    /// while the state is untrained.
+    #[prost(bytes = "vec", optional, tag = "20")]
+    pub belief: Option<Vec<u8>>,
     /// The recent readings in spans of 16 bytes: nanoseconds of the first reading (8), milliseconds from it to the last
     /// reading (4), number of readings of 1 (2) and of 0 (2).
     #[prost(bytes = "vec", tag = "21")]
@@ -381,76 +382,6 @@ pub struct SurpriseRun {
     /// The surprise of all half-hour bins, in bits.
     #[prost(fixed64, tag = "8")]
     pub surprise_bits: u64,
-}
-
-/// The learned data for short-term forecasts of a state from its newest readings.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Belief {
-    /// Whether every learned reading was 0 or 1.
-    #[prost(bool, tag = "1")]
-    pub has_two_values: bool,
-    /// The newest learned reading.
-    #[prost(message, optional, tag = "2")]
-    pub newest: Option<LastObservation>,
-    /// The recent learned readings, as in [`State::recent`].
-    #[prost(bytes = "vec", tag = "3")]
-    pub recent: Vec<u8>,
-    /// Eleven doubles: rise and fall per second of the readings and of the hidden chain; readings at 1, misses,
-    /// readings at 0 and false alarms; the probabilities of a miss and of a false alarm; the gain in log-likelihood by
-    /// these probabilities.
-    #[prost(bytes = "vec", tag = "4")]
-    pub numbers: Vec<u8>,
-    /// Counts of successive readings, seven doubles per octave of the gap: its logarithm, the number and the gaps of
-    /// the pairs, and how many stayed 0, rose, fell and stayed 1.
-    #[prost(bytes = "vec", tag = "5")]
-    pub seen: Vec<u8>,
-    /// Expected counts of successive hidden values, in the form of `seen`.
-    #[prost(bytes = "vec", tag = "6")]
-    pub hidden: Vec<u8>,
-    /// Number of learned days.
-    #[prost(uint32, tag = "7")]
-    pub days: u32,
-    /// Dwells at 0 and at 1.
-    #[prost(message, repeated, tag = "8")]
-    pub dwells: Vec<BeliefDwells>,
-    /// The dwell that has not ended.
-    #[prost(message, optional, tag = "9")]
-    pub open: Option<OpenDwell>,
-    /// Sums by lead time: a double of products for each lead time, then a double of squares for each; empty before the
-    /// first sum.
-    #[prost(bytes = "vec", tag = "10")]
-    pub lead_sums: Vec<u8>,
-}
-
-/// Completed dwells at a value.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct BeliefDwells {
-    /// The lengths in seconds from which the survival is computed.
-    #[prost(float, repeated, tag = "1")]
-    pub secs: Vec<f32>,
-    /// The number of dwells of which `secs` is a selection.
-    #[prost(uint32, tag = "2")]
-    pub count: u32,
-    /// The lengths in seconds of the dwells that have ended since then.
-    #[prost(float, repeated, tag = "3")]
-    pub fresh: Vec<f32>,
-}
-
-/// A dwell that has not ended.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct OpenDwell {
-    /// Whether the state is 1 in the dwell.
-    #[prost(bool, tag = "1")]
-    pub is_one: bool,
-    /// Time at which the dwell began; absent if it is not known.
-    #[prost(sint64, optional, tag = "2")]
-    pub since_nanos: Option<i64>,
-    /// Uncertainty of the time at which the dwell began, in seconds.
-    #[prost(fixed64, tag = "3")]
-    pub since_secs_bits: u64,
-    /// Time of the newest reading of the dwell.
-    #[prost(sint64, tag = "4")]
-    pub last_nanos: i64,
 }
 
 /// All readings of a state with few readings. Its spectrum follows from them.
@@ -535,9 +466,10 @@ pub struct Alternatives {
     /// not enabled.
     #[prost(bytes = "vec", optional, tag = "20")]
     pub ensemble: Option<Vec<u8>>,
-    /// The ensemble of a state that is no probability; absent where it is not enabled.
-    #[prost(message, optional, boxed, tag = "21")]
-    pub numbers: Option<Box<super::ensemble::NumberEnsemble>>,
+    /// The ensemble of a state that is no probability, a message with the fields of `NumberEnsemble`; absent where it
+    /// is not enabled.
+    #[prost(bytes = "vec", optional, tag = "21")]
+    pub numbers: Option<Vec<u8>>,
 }
 
 /// The calibrated model of a state, as it was last trained.

@@ -33,7 +33,7 @@ pub use any::AnyEnsemble;
 use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
-pub use numbers::{NumberEnsemble, NumberEnsembleParts, OtherModels};
+pub use numbers::{NumberEnsemble, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
 use pool::{Member, Pool};
 use recall::Recall;

@@ -39,6 +39,14 @@ impl<T: Fields> Fields for Box<T> {
     }
 }
 
+/// A reading: UTC nanoseconds and value.
+impl Fields for (i64, f64) {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        visitor.integer(1, "time of a reading", &mut self.0)?;
+        visitor.number(2, "value of a reading", FINITE, &mut self.1)
+    }
+}
+
 /// A writer or a reader of fields.
 pub trait Visitor {
     /// The reason for which a field is refused; a writer has none.
@@ -270,6 +278,8 @@ macro_rules! packed {
 packed! {
     f32, true;
     f64, true;
+    i64, false;
+    u16, false;
     u32, false;
     u64, false;
     u8, false;

@@ -73,13 +73,10 @@ pub use angle::{
     ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, circular_deviation_rad, cos_sin,
     deviation_of_direction_rad, direction_rad,
 };
-pub use belief::{
-    Belief, BeliefParts, GapCountParts, InvalidStateSensor, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX,
-    SensorNoise, StateSensor,
-};
+pub use belief::{Belief, InvalidStateSensor, Rates, Recent, RecentSpan, SPANS_MAX, SensorNoise, StateSensor};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
-pub use ensemble::{AnyEnsemble, Ensemble, NumberEnsemble, NumberEnsembleParts, OtherModels, TrainedEnsemble};
+pub use ensemble::{AnyEnsemble, Ensemble, NumberEnsemble, OtherModels, TrainedEnsemble};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};

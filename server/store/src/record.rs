@@ -4,17 +4,15 @@
 //! a value that is read has passed the constructors of the domain.
 
 mod alternatives;
-pub(crate) mod belief;
 mod cell_watch;
 mod cells;
 mod columns;
 pub(crate) mod day;
 pub(crate) mod doubles;
 pub(crate) mod event;
-mod fields;
+pub(crate) mod fields;
 pub(crate) mod history;
 mod ids;
-mod numbers;
 mod observation_runs;
 mod offsets;
 pub(crate) mod published;

@@ -4,12 +4,12 @@
 
 use tidemap_layout::map as layout;
 use tidemap_model::{
-    Alternatives, AlternativesParts, GapsParts, LocalDay, Periodicities, PersistenceParts, StateKind,
+    Alternatives, AlternativesParts, GapsParts, InvalidParts, LocalDay, Periodicities, PersistenceParts, StateKind,
     TrainedModelParts, TrainingRecordParts,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::{Invalid, doubles, fields, numbers, trained};
+use super::{Invalid, doubles, fields, trained};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -48,7 +48,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> layout
         gaps: parts.gaps.count,
         changes_bits: parts.changes.to_bits(),
         ensemble: parts.ensemble.map(fields::write),
-        numbers: parts.numbers.as_deref().map(|parts| Box::new(numbers::encode(parts))),
+        numbers: parts.numbers.map(fields::write),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
 }
@@ -135,7 +135,9 @@ pub(crate) fn decode(
     doubles::take(&message.hours, &mut numbers);
     let (week, days) = numbers.split_at(WEEK);
     let calibrated = message.calibrated.as_ref().map(decode_calibrated).transpose()?;
-    let ensemble = message.ensemble.as_deref().map(fields::read).transpose();
+    let invalid = |error: InvalidParts| error.to_string();
+    let ensemble = message.ensemble.as_ref().map(|message| fields::read(Box::default(), message));
+    let of_numbers = message.numbers.as_ref().map(|message| fields::read(Box::default(), message));
     let parts = AlternativesParts {
         hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
         error_sums: message.error_sums_bits.iter().map(|&bits| f64::from_bits(bits)).collect(),
@@ -154,11 +156,11 @@ pub(crate) fn decode(
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),
-        ensemble: ensemble.map_err(|error| error.to_string())?,
-        numbers: message.numbers.as_deref().map(|own| Box::new(numbers::decode(own))),
+        ensemble: ensemble.transpose().map_err(invalid)?,
+        numbers: of_numbers.transpose().map_err(invalid)?,
         trained: calibrated.into_iter().chain(trained::decode(&message.trained, periodicities)?).collect(),
     };
-    Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())
+    Alternatives::from_parts_of(state_kind, parts).map_err(invalid)
 }
 
 fn decode_calibrated(message: &layout::Calibrated) -> Result<TrainingRecordParts, Invalid> {

@@ -4,7 +4,7 @@
 //! Invariant: every number is read back bit by bit. The reader skips fields with unknown tags; of two fields with one
 //! tag it takes the later.
 
-use std::{convert::Infallible, ops::RangeInclusive};
+use std::{convert::Infallible, ops::RangeInclusive, slice::ChunksExact};
 
 use prost::encoding::{
     DecodeContext, WireType, decode_key, decode_varint, encode_key, encode_varint, encoded_len_varint, skip_field,
@@ -21,16 +21,35 @@ pub(crate) fn write(mut state: impl Fields) -> Vec<u8> {
     writer.out
 }
 
-/// The learned state of a message.
+/// The learned state of a message. `empty`: a state without any data.
 ///
 /// # Errors
 /// [`InvalidParts`] where the message or a number in it is not valid.
-pub(crate) fn read<T: Fields + Default>(message: &[u8]) -> Result<T, InvalidParts> {
-    read_as("a learned state", message)
+pub(crate) fn read<T: Fields>(empty: T, message: &[u8]) -> Result<T, InvalidParts> {
+    read_as("a learned state", empty, message)
 }
 
-fn read_as<T: Fields + Default>(name: &'static str, message: &[u8]) -> Result<T, InvalidParts> {
-    let mut state = T::default();
+/// The bytes of elements of equal size.
+pub(crate) fn pack<P: Packed>(elements: &[P]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(elements.len() * P::BYTES);
+    elements.iter().for_each(|element| element.put(&mut bytes));
+    bytes
+}
+
+/// The elements of equal size of some bytes.
+///
+/// # Errors
+/// [`InvalidParts::Bytes`] where the last element is not complete.
+pub(crate) fn unpack<P: Packed>(name: &'static str, bytes: &[u8]) -> Result<Vec<P>, InvalidParts> {
+    Ok(elements_of::<P>(name, bytes)?.map(P::take).collect())
+}
+
+fn elements_of<'a, P: Packed>(name: &'static str, bytes: &'a [u8]) -> Result<ChunksExact<'a, u8>, InvalidParts> {
+    let elements = bytes.chunks_exact(P::BYTES.max(1));
+    if elements.remainder().is_empty() { Ok(elements) } else { Err(InvalidParts::Bytes { field: name }) }
+}
+
+fn read_as<T: Fields>(name: &'static str, mut state: T, message: &[u8]) -> Result<T, InvalidParts> {
     state.fields(&mut Reader::new(name, message)?)?;
     state.finish()?;
     Ok(state)
@@ -155,14 +174,8 @@ impl<'a> Reader<'a> {
     }
 
     /// The bytes of the elements of a list.
-    fn elements<P: Packed>(
-        &self,
-        tag: u32,
-        name: &'static str,
-    ) -> Result<std::slice::ChunksExact<'a, u8>, InvalidParts> {
-        let bytes = self.find(tag, WireType::LengthDelimited, name)?.unwrap_or_default();
-        let elements = bytes.chunks_exact(P::BYTES.max(1));
-        if elements.remainder().is_empty() { Ok(elements) } else { Err(InvalidParts::Bytes { field: name }) }
+    fn elements<P: Packed>(&self, tag: u32, name: &'static str) -> Result<ChunksExact<'a, u8>, InvalidParts> {
+        elements_of::<P>(name, self.find(tag, WireType::LengthDelimited, name)?.unwrap_or_default())
     }
 }
 
@@ -242,7 +255,7 @@ impl Visitor for Reader<'_> {
         let found = self.fields.iter().filter(|field| field.0 == tag);
         let message = |&(_, form, bytes): &(u32, WireType, &[u8])| {
             if form == WireType::LengthDelimited {
-                read_as(name, bytes)
+                read_as(name, T::default(), bytes)
             } else {
                 Err(InvalidParts::Bytes { field: name })
             }

@@ -10,12 +10,12 @@ use tidemap_map::{
     snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Component, LABELS, LocalDay, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
+    Accumulator, AccumulatorParts, Belief, Component, InvalidParts, LABELS, LocalDay, OrderErrors, OrderErrorsParts,
+    Periodicities, Persistence, PersistenceParts, Recent, ShortRecord, SpectralModel, StateKind, StateModel,
 };
 
 use super::{
-    Invalid, alternatives, belief,
+    Invalid, alternatives, fields,
     ids::{decode_producer_key, decode_state_kind, encode_producer_key, encode_state_kind},
     rows, sensors, surprises, tables,
 };
@@ -231,8 +231,8 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
             batches: short.batches,
         }),
         surprises: surprises::encode(state.model.surprises()),
-        belief: state.model.belief().map(belief::encode),
-        recent: belief::encode_recent(state.recent.spans()),
+        belief: state.model.belief().cloned().map(fields::write),
+        recent: fields::pack(state.recent.spans()),
         sensor: state.model.sensor().map(sensors::encode_state_sensor),
         rows: rows::encode(&state.model, state.newest_row),
     }
@@ -280,10 +280,14 @@ pub(crate) fn decode_state(
         kind,
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
-        recent: belief::decode_recent(&message.recent)?,
+        recent: decode_recent(&message.recent).map_err(|error| error.to_string())?,
         newest_row: rows::decode_newest(message.rows.as_ref())?,
         model: Arc::new(decode_model(kind, message, periodicities, spectrum)?),
     })
+}
+
+fn decode_recent(bytes: &[u8]) -> Result<Recent, InvalidParts> {
+    Recent::from_spans(&fields::unpack("the recent readings of a state", bytes)?)
 }
 
 fn decode_model(
@@ -322,7 +326,7 @@ fn decode_model(
         sums: error_sums.try_into().map_err(|_| "the sums of errors are not 16")?,
         last_day: message.errors_last_day.map(LocalDay),
     };
-    let invalid = |error: tidemap_model::InvalidParts| error.to_string();
+    let invalid = |error: InvalidParts| error.to_string();
     let accumulator = match spectrum_in {
         SpectrumIn::Checkpoint => Accumulator::from_parts_of(kind, periodicities, accumulator),
         SpectrumIn::Nowhere => Accumulator::published_from_parts(kind, accumulator),
@@ -337,7 +341,10 @@ fn decode_model(
     .map_err(invalid)?;
     let model = model.with_surprises(surprises::decode(message.surprises.as_ref())?);
     let model = match &message.belief {
-        Some(known) => model.with_belief(belief::decode(kind, known)?),
+        Some(known) => {
+            let belief = fields::read(Belief::new(false), known).and_then(|known| known.of_kind(kind));
+            model.with_belief(belief.map_err(invalid)?)
+        }
         None => model,
     };
     let model = match &message.sensor {

@@ -103,3 +103,63 @@ pub(super) fn refusals(message: &[u8], path: &[u32], is_refused: &dyn Fn(&[u8]) 
     };
     tags.iter().map(line).collect()
 }
+
+/// A message that is written field by field.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Message(pub(super) Vec<u8>);
+
+impl Message {
+    /// A field of bytes: a message, or numbers.
+    pub(super) fn bytes(mut self, tag: u32, content: impl AsRef<[u8]>) -> Message {
+        encode_key(tag, WireType::LengthDelimited, &mut self.0);
+        encode_varint(content.as_ref().len() as u64, &mut self.0);
+        self.0.extend(content.as_ref());
+        self
+    }
+
+    /// Doubles, as a list.
+    pub(super) fn doubles(self, tag: u32, numbers: &[f64]) -> Message {
+        self.bytes(tag, numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
+    }
+
+    /// Singles, as a list.
+    pub(super) fn singles(self, tag: u32, numbers: &[f32]) -> Message {
+        self.bytes(tag, numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
+    }
+
+    /// One double.
+    pub(super) fn double(mut self, tag: u32, number: f64) -> Message {
+        encode_key(tag, WireType::SixtyFourBit, &mut self.0);
+        self.0.extend(number.to_le_bytes());
+        self
+    }
+
+    /// An integer without a sign, or a flag.
+    pub(super) fn integer(mut self, tag: u32, number: u64) -> Message {
+        encode_key(tag, WireType::Varint, &mut self.0);
+        encode_varint(number, &mut self.0);
+        self
+    }
+
+    /// A time or a day.
+    pub(super) fn signed(self, tag: u32, number: i64) -> Message {
+        self.integer(tag, zigzag(number))
+    }
+
+    /// Days, as a list.
+    pub(super) fn days(self, tag: u32, days: &[i64]) -> Message {
+        let mut content = Vec::new();
+        days.iter().for_each(|&day| encode_varint(zigzag(day), &mut content));
+        self.bytes(tag, content)
+    }
+}
+
+impl AsRef<[u8]> for Message {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+fn zigzag(number: i64) -> u64 {
+    ((number << 1) ^ (number >> 63)).cast_unsigned()
+}

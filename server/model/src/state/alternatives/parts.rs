@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
-    AnyEnsemble, Ensemble, Gaps, GapsParts, InvalidParts, LocalDay, NumberEnsemble, NumberEnsembleParts, Persistence,
-    PersistenceParts, StateKind,
+    AnyEnsemble, Ensemble, Gaps, GapsParts, InvalidParts, LocalDay, NumberEnsemble, Persistence, PersistenceParts,
+    StateKind,
     catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel, TrainedModelParts},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
@@ -46,7 +46,7 @@ pub struct AlternativesParts {
     /// The ensemble of a state of probabilities, where it is enabled.
     pub ensemble: Option<Box<Ensemble>>,
     /// The ensemble of a state of other values, where it is enabled.
-    pub numbers: Option<Box<NumberEnsembleParts>>,
+    pub numbers: Option<Box<NumberEnsemble>>,
 }
 
 /// The stored form of a model that was trained on readings.
@@ -79,7 +79,7 @@ impl Alternatives {
             since: self.since,
             trained: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
             ensemble: self.ensemble().and_then(AnyEnsemble::of_probability).cloned().map(Box::new),
-            numbers: self.ensemble().and_then(AnyEnsemble::of_number).map(|own| Box::new(own.to_parts())),
+            numbers: self.ensemble().and_then(AnyEnsemble::of_number).cloned().map(Box::new),
         }
     }
 
@@ -113,9 +113,7 @@ impl Alternatives {
         if is_of_other_kind {
             return Err(InvalidParts::OutOfRange { field: "ensemble of another kind of states", found: f64::NAN });
         }
-        let of_number = parts.numbers.map(|parts| NumberEnsemble::from_parts(&parts)).transpose()?;
-        let ensemble =
-            parts.ensemble.map(AnyEnsemble::Probability).or(of_number.map(|own| AnyEnsemble::Number(Box::new(own))));
+        let ensemble = parts.ensemble.map(AnyEnsemble::Probability).or(parts.numbers.map(AnyEnsemble::Number));
         let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
         for record in parts.trained {
             let model = TrainedModel::from_parts_of(kind, record.model)?;
