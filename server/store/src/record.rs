@@ -3,7 +3,6 @@
 //! Invariant: each written record can be read. A value that could not be read back is refused before it is written, and
 //! a value that is read has passed the constructors of the domain.
 
-mod alternatives;
 mod cell_watch;
 mod cells;
 mod columns;
@@ -27,7 +26,6 @@ pub(crate) mod tables;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
-mod trained;
 mod varint;
 
 /// The reason why a record cannot be written, or is invalid.

@@ -27,6 +27,7 @@ mod groups;
 mod history;
 mod history_runs;
 mod landmarks;
+mod learned_fields;
 mod life;
 mod losses;
 mod missing;

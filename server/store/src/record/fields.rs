@@ -29,6 +29,13 @@ pub(crate) fn read<T: Fields>(empty: T, message: &[u8]) -> Result<T, InvalidPart
     read_as("a learned state", empty, message)
 }
 
+/// Appends a field of elements of equal size to a message that does not have it.
+pub(crate) fn append_list<P: Packed>(message: &mut Vec<u8>, tag: u32, elements: &[P]) {
+    let mut writer = Writer { out: std::mem::take(message) };
+    writer.bytes(tag, elements.len() * P::BYTES, |out| elements.iter().for_each(|element| element.put(out)));
+    *message = writer.out;
+}
+
 /// The bytes of elements of equal size.
 pub(crate) fn pack<P: Packed>(elements: &[P]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(elements.len() * P::BYTES);

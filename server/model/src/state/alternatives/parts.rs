@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// The parts of [`Alternatives`], for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct AlternativesParts {
     /// The readings by hour of the week.
     pub hours: HourTableParts,
@@ -25,6 +25,9 @@ pub struct AlternativesParts {
     pub learned_day: Option<LocalDay>,
     /// The model in force: see [`ModelKind::id`].
     pub choice: u8,
+    /// Total weight of the observations of the accumulator, where it differs from their number. The state keeps it, not
+    /// its alternatives.
+    pub weight: Option<f64>,
     /// The change alarm.
     pub alarm: ChangeAlarmParts,
     /// Persistence of the learned readings.
@@ -69,6 +72,7 @@ impl Alternatives {
             last_day: self.parts.last_day,
             learned_day: self.parts.learned_day,
             choice: self.parts.choice.id().unwrap_or_default(),
+            weight: None,
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
             gaps: self.gaps.to_parts(),
