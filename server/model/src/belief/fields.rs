@@ -3,7 +3,7 @@
 //! Invariant: a belief that was written is read back as it was, to which the sensor is given again; a wrong length or a
 //! number out of range is refused.
 
-use std::slice;
+use std::{ops::RangeInclusive, slice};
 
 use super::{
     Belief, Recent, RecentSpan,
@@ -17,8 +17,8 @@ use crate::{
     models::markov_chain::likelihood::{GapCounts, Transitions},
 };
 
-/// Above 0.
-const POSITIVE: std::ops::RangeInclusive<f64> = f64::MIN_POSITIVE..=f64::MAX;
+/// Every finite number above 0.
+const POSITIVE: RangeInclusive<f64> = f64::MIN_POSITIVE..=f64::MAX;
 
 /// Octave, number and seconds of the pairs, pairs that stayed 0, rose, fell and stayed 1.
 type Octave = [f64; 7];

@@ -26,9 +26,12 @@ fn fields(mut message: &[u8]) -> Vec<(u32, WireType, Vec<u8>)> {
     fields
 }
 
+/// A change of the content of a field.
+type ContentChange<'a> = &'a dyn Fn(&mut Vec<u8>);
+
 /// A message with another content of the field at a path of tags. `change`: changes the content, without its length;
 /// `None` removes the field.
-pub(super) fn changed(message: &[u8], path: &[u32], change: Option<&dyn Fn(&mut Vec<u8>)>) -> Vec<u8> {
+pub(super) fn changed(message: &[u8], path: &[u32], change: Option<ContentChange<'_>>) -> Vec<u8> {
     let mut out = Vec::new();
     for (tag, wire_type, mut content) in fields(message) {
         match (path, change) {
@@ -94,7 +97,7 @@ pub(super) fn refusals(message: &[u8], path: &[u32], is_refused: &dyn Fn(&[u8]) 
     let line = |&(tag, wire_type): &(u32, WireType)| {
         let path = [path, &[tag]].concat();
         let refused = |change: &Change| {
-            let change = change.as_ref().map(|change| change as &dyn Fn(&mut Vec<u8>));
+            let change = change.as_ref().map(|change| change as ContentChange<'_>);
             is_refused(&changed(message, &path, change))
         };
         let names =

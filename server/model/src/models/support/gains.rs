@@ -39,8 +39,8 @@ pub struct OrderGainsParts {
 impl OrderGainsParts {
     /// Visits the three numbers as one field, which is absent before the first day.
     pub(crate) fn field<V: Visitor>(&mut self, tag: u32, visitor: &mut V) -> Result<(), V::Refused> {
-        let mut numbers = Some(*self).filter(|parts| *parts != OrderGainsParts::default());
-        let mut numbers = numbers.take().map(|OrderGainsParts { days, sum, squares }| [days, sum, squares]);
+        let known = Some(*self).filter(|parts| *parts != OrderGainsParts::default());
+        let mut numbers = known.map(|OrderGainsParts { days, sum, squares }| [days, sum, squares]);
         visitor.list(tag, "gains of the orders", FINITE, &mut numbers)?;
         let [days, sum, squares] = numbers.unwrap_or_default();
         *self = OrderGainsParts { days, sum, squares };
