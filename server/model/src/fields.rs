@@ -260,14 +260,18 @@ macro_rules! packed {
         impl Packed for $number {
             const BYTES: usize = size_of::<$number>();
 
+            // Inlined in the visitors of another crate: states have thousands of numbers.
+            #[inline]
             fn put(&self, bytes: &mut Vec<u8>) {
                 bytes.extend_from_slice(&self.to_le_bytes());
             }
 
+            #[inline]
             fn take(bytes: &[u8]) -> $number {
                 bytes.first_chunk().map_or_else(<$number>::default, |bytes| <$number>::from_le_bytes(*bytes))
             }
 
+            #[inline]
             fn check(&self, name: &'static str, range: &RangeInclusive<f64>) -> Result<(), InvalidParts> {
                 if $ranged { InvalidParts::check(name, *self as f64, range.clone()) } else { Ok(()) }
             }

@@ -137,6 +137,7 @@ pub enum InvalidParts {
 
 impl InvalidParts {
     /// `Ok` where `found` lies in `range`; NaN never does.
+    #[inline]
     fn check(field: &'static str, found: f64, range: std::ops::RangeInclusive<f64>) -> Result<(), InvalidParts> {
         if range.contains(&found) { Ok(()) } else { Err(InvalidParts::OutOfRange { field, found }) }
     }

@@ -73,6 +73,7 @@ impl Writer {
         if length > 0 {
             encode_key(tag, WireType::LengthDelimited, &mut self.out);
             encode_varint(length as u64, &mut self.out);
+            self.out.reserve(length);
             put(&mut self.out);
         }
     }
