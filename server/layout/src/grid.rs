@@ -6,8 +6,6 @@
 //!
 //! Invariant: a double is kept as its bits, little-endian, so that every bit is preserved.
 
-use super::map::Alarm;
-
 /// The header of a grid.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Grid {
@@ -188,9 +186,9 @@ pub struct Sightings {
     /// Times between the observations of each group.
     #[prost(message, repeated, tag = "2")]
     pub times: Vec<GroupTimes>,
-    /// Support and change alarm of each changed cell.
-    #[prost(message, repeated, tag = "3")]
-    pub watches: Vec<CellWatch>,
+    /// Support and change alarm of each changed cell, messages with the fields of `OrderWatchParts` of `tidemap-model`.
+    #[prost(bytes = "vec", repeated, tag = "3")]
+    pub watches: Vec<Vec<u8>>,
 }
 
 /// The times between the observations of a group.
@@ -209,28 +207,6 @@ pub struct GroupTimes {
     /// spread.
     #[prost(float, repeated, tag = "4")]
     pub by_hour: Vec<f32>,
-}
-
-/// The supported components of a cell, and its change alarm.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct CellWatch {
-    /// Daily gains of the orders: number of days, sum and sum of squares. Empty: none.
-    #[prost(fixed64, repeated, tag = "1")]
-    pub gains_bits: Vec<u64>,
-    #[prost(message, optional, tag = "2")]
-    pub alarm: Option<Alarm>,
-    /// Sum of 1 / time between readings over the changes, per second.
-    #[prost(fixed64, tag = "3")]
-    pub change_rate_sum_bits: u64,
-    /// Whether the newest learned reading is occupied.
-    #[prost(bool, optional, tag = "4")]
-    pub last: Option<bool>,
-    /// Number of supported components.
-    #[prost(uint32, tag = "5")]
-    pub supported: u32,
-    /// Number of changes between readings.
-    #[prost(uint32, tag = "6")]
-    pub changes: u32,
 }
 
 /// The times at which cells of a tile were observed on one day.

@@ -30,6 +30,9 @@
 //! as the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. A CRC-32C covers
 //! every byte.
 //!
+//! A learned state is a message inside these messages, as bytes. Its fields stand beside its type in `tidemap-model`
+//! (`Fields`), so that each is written down once; tags and forms are bound by the same rule as this crate.
+//!
 //! `tidemap-store` converts these messages to the types of the domain, and defines their meaning. Invariant: from the
 //! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` checks
 //! this. For a new format, a copy of this format is frozen in `tidemap-migrations`, beside the step that leads to the
@@ -38,7 +41,6 @@
 #![allow(missing_docs, reason = "the names of the fields are sufficient")]
 
 pub mod cluster;
-pub mod ensemble;
 pub mod event;
 pub mod file;
 pub mod grid;
@@ -52,7 +54,6 @@ pub mod rows;
 pub mod site;
 pub mod task;
 pub mod topology;
-pub mod trained;
 
 /// The number of this format.
 pub const FORMAT: u32 = 1;

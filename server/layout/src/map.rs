@@ -315,18 +315,20 @@ pub struct State {
     /// Last local day recorded in the errors, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "13")]
     pub errors_last_day: Option<i32>,
-    /// The training data and models apart from the spectrum; absent while the state is untrained.
-    #[prost(message, optional, tag = "14")]
-    pub alternatives: Option<Alternatives>,
+    /// The training data and models apart from the spectrum, a message with the fields of `AlternativesParts` of
+    /// `tidemap-model`; absent while the state is untrained.
+    #[prost(bytes = "vec", optional, tag = "14")]
+    pub alternatives: Option<Vec<u8>>,
     /// All readings, if they are few; then there is no spectrum.
     #[prost(message, optional, tag = "15")]
     pub short: Option<ShortRecord>,
     /// The unusual observations among those that were learned; absent if there are none.
     #[prost(message, optional, tag = "16")]
     pub surprises: Option<Surprises>,
-    /// The learned data for short-term forecasts; absent while the state is untrained.
-    #[prost(message, optional, tag = "20")]
-    pub belief: Option<Belief>,
+    /// The learned data for short-term forecasts, a message with the fields of `Belief` of `tidemap-model`; absent
+    /// while the state is untrained.
+    #[prost(bytes = "vec", optional, tag = "20")]
+    pub belief: Option<Vec<u8>>,
     /// The recent readings in spans of 16 bytes: nanoseconds of the first reading (8), milliseconds from it to the last
     /// reading (4), number of readings of 1 (2) and of 0 (2).
     #[prost(bytes = "vec", tag = "21")]
@@ -383,76 +385,6 @@ pub struct SurpriseRun {
     pub surprise_bits: u64,
 }
 
-/// The learned data for short-term forecasts of a state from its newest readings.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Belief {
-    /// Whether every learned reading was 0 or 1.
-    #[prost(bool, tag = "1")]
-    pub has_two_values: bool,
-    /// The newest learned reading.
-    #[prost(message, optional, tag = "2")]
-    pub newest: Option<LastObservation>,
-    /// The recent learned readings, as in [`State::recent`].
-    #[prost(bytes = "vec", tag = "3")]
-    pub recent: Vec<u8>,
-    /// Eleven doubles: rise and fall per second of the readings and of the hidden chain; readings at 1, misses,
-    /// readings at 0 and false alarms; the probabilities of a miss and of a false alarm; the gain in log-likelihood by
-    /// these probabilities.
-    #[prost(bytes = "vec", tag = "4")]
-    pub numbers: Vec<u8>,
-    /// Counts of successive readings, seven doubles per octave of the gap: its logarithm, the number and the gaps of
-    /// the pairs, and how many stayed 0, rose, fell and stayed 1.
-    #[prost(bytes = "vec", tag = "5")]
-    pub seen: Vec<u8>,
-    /// Expected counts of successive hidden values, in the form of `seen`.
-    #[prost(bytes = "vec", tag = "6")]
-    pub hidden: Vec<u8>,
-    /// Number of learned days.
-    #[prost(uint32, tag = "7")]
-    pub days: u32,
-    /// Dwells at 0 and at 1.
-    #[prost(message, repeated, tag = "8")]
-    pub dwells: Vec<BeliefDwells>,
-    /// The dwell that has not ended.
-    #[prost(message, optional, tag = "9")]
-    pub open: Option<OpenDwell>,
-    /// Sums by lead time: a double of products for each lead time, then a double of squares for each; empty before the
-    /// first sum.
-    #[prost(bytes = "vec", tag = "10")]
-    pub lead_sums: Vec<u8>,
-}
-
-/// Completed dwells at a value.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct BeliefDwells {
-    /// The lengths in seconds from which the survival is computed.
-    #[prost(float, repeated, tag = "1")]
-    pub secs: Vec<f32>,
-    /// The number of dwells of which `secs` is a selection.
-    #[prost(uint32, tag = "2")]
-    pub count: u32,
-    /// The lengths in seconds of the dwells that have ended since then.
-    #[prost(float, repeated, tag = "3")]
-    pub fresh: Vec<f32>,
-}
-
-/// A dwell that has not ended.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct OpenDwell {
-    /// Whether the state is 1 in the dwell.
-    #[prost(bool, tag = "1")]
-    pub is_one: bool,
-    /// Time at which the dwell began; absent if it is not known.
-    #[prost(sint64, optional, tag = "2")]
-    pub since_nanos: Option<i64>,
-    /// Uncertainty of the time at which the dwell began, in seconds.
-    #[prost(fixed64, tag = "3")]
-    pub since_secs_bits: u64,
-    /// Time of the newest reading of the dwell.
-    #[prost(sint64, tag = "4")]
-    pub last_nanos: i64,
-}
-
 /// All readings of a state with few readings. Its spectrum follows from them.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct ShortRecord {
@@ -463,121 +395,4 @@ pub struct ShortRecord {
     /// The number of readings of each batch that was folded in.
     #[prost(uint32, repeated, tag = "2")]
     pub batches: Vec<u32>,
-}
-
-/// The training data and models of a state apart from its spectrum.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Alternatives {
-    /// For each hour of the local week from Monday on: weight and sum of values. Then for each hour of the day, first
-    /// of weekdays, then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles,
-    /// little-endian.
-    #[prost(bytes = "vec", tag = "1")]
-    pub hours: Vec<u8>,
-    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week.
-    /// Only the sum of the spectral model where histograms are not tried.
-    #[prost(fixed64, repeated, tag = "2")]
-    pub error_sums_bits: Vec<u64>,
-    /// Last local day recorded in the errors, in days since 1970-01-01.
-    #[prost(sint32, optional, tag = "3")]
-    pub errors_last_day: Option<i32>,
-    /// Last local day folded in.
-    #[prost(sint32, optional, tag = "4")]
-    pub folded_day: Option<i32>,
-    /// The model in force: 0 the spectral model, 128 the calibrated one, 129 the periodic mixture of Gaussians, 130
-    /// warped hypertime by expectation-maximisation, 131 by k-means, 132 the rate of counts, else the number of
-    /// the histogram, from 1.
-    #[prost(uint32, tag = "5")]
-    pub choice: u32,
-    /// Total weight of the observations of the accumulator; absent: their number.
-    #[prost(fixed64, optional, tag = "6")]
-    pub weight_bits: Option<u64>,
-    /// The change alarm.
-    #[prost(message, optional, tag = "7")]
-    pub alarm: Option<Alarm>,
-    /// Pairs of successive observations folded in.
-    #[prost(uint64, tag = "8")]
-    pub pairs: u64,
-    /// Summed rate of change of these pairs.
-    #[prost(fixed64, tag = "9")]
-    pub change_rate_sum_bits: u64,
-    /// The newest observation folded in.
-    #[prost(message, optional, tag = "10")]
-    pub last: Option<LastObservation>,
-    /// Number of supported components: those that noise would not show as well.
-    #[prost(uint32, tag = "11")]
-    pub supported: u32,
-    /// Number of local days folded in, without days that came late.
-    #[prost(uint32, tag = "12")]
-    pub days: u32,
-    /// The calibrated model; absent before its first training.
-    #[prost(message, optional, tag = "13")]
-    pub calibrated: Option<Calibrated>,
-    /// The other models that were trained on readings: a message [`super::trained::TrainedModels`]; empty if there is
-    /// none.
-    #[prost(bytes = "vec", tag = "14")]
-    pub trained: Vec<u8>,
-    /// The first local day of the present routine, in days since 1970-01-01; absent if the change alarm never rang.
-    #[prost(sint32, optional, tag = "15")]
-    pub since: Option<i32>,
-    /// Gains of the choice of orders: number of days, sum of gains, sum of squared gains; empty before the first day.
-    #[prost(fixed64, repeated, tag = "16")]
-    pub gains_bits: Vec<u64>,
-    /// Number of gaps between readings from which the sample was drawn.
-    #[prost(uint64, tag = "17")]
-    pub gaps: u64,
-    /// The kept gaps: number and whole seconds of each in turn.
-    #[prost(uint64, repeated, tag = "18")]
-    pub kept_gaps: Vec<u64>,
-    /// Sum of |change of value| between readings.
-    #[prost(fixed64, tag = "19")]
-    pub changes_bits: u64,
-    /// The ensemble of a probability; absent where it is not enabled.
-    #[prost(message, optional, boxed, tag = "20")]
-    pub ensemble: Option<Box<super::ensemble::Ensemble>>,
-    /// The ensemble of a state that is no probability; absent where it is not enabled.
-    #[prost(message, optional, boxed, tag = "21")]
-    pub numbers: Option<Box<super::ensemble::NumberEnsemble>>,
-}
-
-/// The calibrated model of a state, as it was last trained.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Calibrated {
-    /// The last local day that the model was trained on, in days since 1970-01-01.
-    #[prost(sint32, tag = "1")]
-    pub day: i32,
-    /// Faded sum of errors; absent before the first day that the model was scored on.
-    #[prost(fixed64, optional, tag = "2")]
-    pub error_sum_bits: Option<u64>,
-    /// Number of readings that the model was trained on.
-    #[prost(uint64, tag = "3")]
-    pub observations: u64,
-    /// The lowest of these readings.
-    #[prost(fixed64, tag = "4")]
-    pub lowest_bits: u64,
-    /// The highest of these readings.
-    #[prost(fixed64, tag = "5")]
-    pub highest_bits: u64,
-    /// The prediction for each slot of ten minutes of the local week from Monday on: 1,008 doubles, little-endian.
-    #[prost(bytes = "vec", tag = "6")]
-    pub profile: Vec<u8>,
-}
-
-/// The change alarm of a state.
-#[derive(Clone, PartialEq, prost::Message)]
-pub struct Alarm {
-    /// Number of days, mean and variance of the errors, first of weekdays, then of weekends. Six doubles.
-    #[prost(fixed64, repeated, tag = "1")]
-    pub history_bits: Vec<u64>,
-    /// Faded mean number of observations in a day.
-    #[prost(fixed64, tag = "2")]
-    pub typical_observations_bits: u64,
-    /// The cumulative sum.
-    #[prost(fixed64, tag = "3")]
-    pub sum_bits: u64,
-    /// The last local day that the alarm has used.
-    #[prost(sint32, optional, tag = "4")]
-    pub last_day: Option<i32>,
-    /// The local day on which the alarm rang; absent if it does not ring.
-    #[prost(sint32, optional, tag = "5")]
-    pub alarm_day: Option<i32>,
 }

@@ -18,11 +18,11 @@ use crate::{
 
 mod ahead;
 mod dwell;
+mod fields;
 mod filter;
 mod lead_time;
 mod learn;
 mod noise;
-mod parts;
 mod recent;
 mod sensor;
 #[cfg(test)]
@@ -32,7 +32,6 @@ use ahead::Ahead;
 use dwell::Dwells;
 use lead_time::LeadTimeWeights;
 pub use noise::SensorNoise;
-pub use parts::{BeliefParts, GapCountParts, OpenDwell};
 pub use recent::{Recent, RecentSpan, SPANS_MAX};
 pub use sensor::{InvalidStateSensor, StateSensor};
 

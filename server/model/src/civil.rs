@@ -18,7 +18,7 @@ const SECS_PER_DAY: i64 = 86_400;
 const NANOS_PER_DAY: i64 = SECS_PER_DAY * NANOS_PER_SEC;
 
 /// A local date, as days since 1970-01-01; shown as `YYYY-MM-DD`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LocalDay(pub i32);
 
 impl LocalDay {

@@ -14,10 +14,10 @@
 mod any;
 mod bins;
 mod calibration;
+mod fields;
 mod forecast;
 mod numbers;
 mod outlook;
-mod parts;
 mod pool;
 mod recall;
 mod rotation;
@@ -33,9 +33,8 @@ pub use any::AnyEnsemble;
 use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
-pub use numbers::{NumberEnsemble, NumberEnsembleParts, OtherModels};
+pub use numbers::{NumberEnsemble, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
-pub use parts::{ClassParts, EnsembleParts, StoredForecastParts};
 use pool::{Member, Pool};
 use recall::Recall;
 use rotation::Rotation;
@@ -113,9 +112,19 @@ struct PreparedDay {
     forecast: DayForecast,
 }
 
+/// Compares what is stored.
 impl PartialEq for Ensemble {
     fn eq(&self, other: &Ensemble) -> bool {
-        self.to_parts() == other.to_parts()
+        let stored = |one: &Ensemble| (one.sum, one.bins, one.alike, one.calibration, one.smooth, one.smooth_bins);
+        stored(self) == stored(other)
+            && self.all == other.all
+            && self.recent == other.recent
+            && self.recall == other.recall
+            && self.rotation == other.rotation
+            && self.season == other.season
+            && self.stacks == other.stacks
+            && self.pool == other.pool
+            && self.outlook == other.outlook
     }
 }
 
@@ -304,7 +313,7 @@ impl Ensemble {
         self.known = equivalent_bins(&self.all.bins_by_kind());
         let needed = self.known.as_flattened().iter().any(|&bins| bins < SMOOTH_BINS);
         if !needed {
-            self.smooth = None;
+            (self.smooth, self.smooth_bins) = (None, 0.0);
         } else if self.smooth.is_none() || self.bins >= self.smooth_bins * (1.0 + SMOOTH_GROWTH) {
             self.smooth = Some(smooth_table(&self.all));
             self.smooth_bins = self.bins;

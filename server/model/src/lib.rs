@@ -40,6 +40,7 @@ mod civil;
 mod ensemble;
 mod entropy;
 mod evaluate;
+pub mod fields;
 mod gaps;
 mod hours_seen;
 mod information;
@@ -72,16 +73,10 @@ pub use angle::{
     ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, circular_deviation_rad, cos_sin,
     deviation_of_direction_rad, direction_rad,
 };
-pub use belief::{
-    Belief, BeliefParts, GapCountParts, InvalidStateSensor, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX,
-    SensorNoise, StateSensor,
-};
+pub use belief::{Belief, InvalidStateSensor, Rates, Recent, RecentSpan, SPANS_MAX, SensorNoise, StateSensor};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
-pub use ensemble::{
-    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels,
-    StoredForecastParts, TrainedEnsemble,
-};
+pub use ensemble::{AnyEnsemble, Ensemble, NumberEnsemble, OtherModels, TrainedEnsemble};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
@@ -132,6 +127,9 @@ pub enum InvalidParts {
     /// The first observation is later than the last.
     #[error("the first observation, {first_nanos} ns, is later than the last, {last_nanos} ns")]
     TimesReversed { first_nanos: i64, last_nanos: i64 },
+    /// Bytes do not have the form of their field.
+    #[error("the bytes of {field} do not have their form")]
+    Bytes { field: &'static str },
     /// The number of components or the order is above [`ORDER_MAX`].
     #[error("order {found} is above {ORDER_MAX}")]
     OrderTooHigh { found: usize },
@@ -139,6 +137,7 @@ pub enum InvalidParts {
 
 impl InvalidParts {
     /// `Ok` where `found` lies in `range`; NaN never does.
+    #[inline]
     fn check(field: &'static str, found: f64, range: std::ops::RangeInclusive<f64>) -> Result<(), InvalidParts> {
         if range.contains(&found) { Ok(()) } else { Err(InvalidParts::OutOfRange { field, found }) }
     }

@@ -10,10 +10,7 @@ use std::f64::consts::TAU;
 use proptest::prelude::*;
 use tidemap_model::catalogue::{ModelKind, TRAINED_AT_NIGHT};
 use tidemap_model::models::{Moment, Readings};
-use tidemap_model::{
-    EnabledModels, LocalDay, NumberEnsemble, NumberEnsembleParts, Periodicities, Sample, StateKind, StateModel,
-    UpdateRules,
-};
+use tidemap_model::{EnabledModels, LocalDay, Periodicities, Sample, StateKind, StateModel, UpdateRules};
 
 /// The first of September 2025, a Monday.
 const FIRST_DAY: i64 = 20_332;
@@ -328,28 +325,6 @@ fn a_record_in_one_update_is_learned_as_night_by_night() {
     let nightly = by(1);
     assert!(nightly.ensemble().and_then(|known| known.of_number()).is_some());
     assert!(nightly.ensemble() == by(9).ensemble() && nightly.ensemble() == by(70).ensemble());
-}
-
-#[test]
-fn a_stored_ensemble_is_the_same() {
-    for days in [1, 2, 40] {
-        let state = learned(&temperature(days, 3), 0..days, 1, |value| value);
-        let ensemble = state.ensemble().and_then(|known| known.of_number()).unwrap();
-        let mut parts = ensemble.to_parts();
-        assert_eq!(&NumberEnsemble::from_parts(&parts).unwrap(), ensemble);
-        let wrong = |change: &dyn Fn(&mut NumberEnsembleParts)| {
-            let mut parts = parts.clone();
-            change(&mut parts);
-            NumberEnsemble::from_parts(&parts).is_err()
-        };
-        assert!(wrong(&|parts| parts.numbers.truncate(100)) && wrong(&|parts| parts.numbers.push(0.0)));
-        assert!(wrong(&|parts| parts.numbers[2] = f64::NAN) && wrong(&|parts| parts.numbers[1] = -1.0));
-        assert!(wrong(&|parts| parts.seen.truncate(3)) && wrong(&|parts| parts.kept_days.truncate(3)));
-        assert!(wrong(&|parts| parts.kept_days[0] = vec![LocalDay(2), LocalDay(3)]));
-        assert!(wrong(&|parts| parts.last_day = None), "looks of no day");
-        parts.last_day = Some(LocalDay(5));
-        assert!(&NumberEnsemble::from_parts(&parts).unwrap() != ensemble);
-    }
 }
 
 proptest! {

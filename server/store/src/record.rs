@@ -3,18 +3,15 @@
 //! Invariant: each written record can be read. A value that could not be read back is refused before it is written, and
 //! a value that is read has passed the constructors of the domain.
 
-mod alternatives;
-pub(crate) mod belief;
 mod cell_watch;
 mod cells;
 mod columns;
 pub(crate) mod day;
 pub(crate) mod doubles;
-mod ensemble;
 pub(crate) mod event;
+pub(crate) mod fields;
 pub(crate) mod history;
 mod ids;
-mod numbers;
 mod observation_runs;
 mod offsets;
 pub(crate) mod published;
@@ -29,7 +26,6 @@ pub(crate) mod tables;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
-mod trained;
 mod varint;
 
 /// The reason why a record cannot be written, or is invalid.

@@ -9,9 +9,11 @@ pub(crate) mod example;
 mod golden;
 mod golden_belief;
 mod golden_categorical;
+mod golden_ensemble;
 mod golden_events;
 mod golden_grid;
 mod golden_numbers;
+mod golden_refusals;
 mod golden_rows;
 mod golden_sensor;
 mod golden_shared;
@@ -25,6 +27,7 @@ mod groups;
 mod history;
 mod history_runs;
 mod landmarks;
+mod learned_fields;
 mod life;
 mod losses;
 mod missing;
@@ -38,6 +41,7 @@ mod tasks;
 mod torn_tail;
 mod traversals;
 mod verdicts;
+mod wire;
 
 /// Whether slow tests run in full, as `make durability` does, and not in their short versions.
 pub(crate) fn is_full() -> bool {

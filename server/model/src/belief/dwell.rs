@@ -30,7 +30,7 @@ const BREAK_SECS: f64 = 600.0;
 const FRESH_SHARE: u32 = 8;
 
 /// A dwell that has not ended.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct UnendedDwell {
     pub(super) is_one: bool,
     /// The time at which it began, UTC nanoseconds, and the uncertainty of this time, in seconds; `None`: before the
@@ -97,12 +97,6 @@ pub(super) struct Dwells {
 }
 
 impl Dwells {
-    pub(super) fn from_parts(of_value: [OfValue; 2], open: Option<UnendedDwell>) -> Dwells {
-        let mut dwells = Dwells { of_value, open, survivals: None };
-        dwells.build();
-        dwells
-    }
-
     /// A copy without the data that only learning needs.
     pub(super) fn published(&self) -> Dwells {
         let of_value = |lengths: &OfValue| OfValue { fresh: Vec::new(), ..lengths.clone() };
@@ -149,7 +143,7 @@ impl Dwells {
         }
     }
 
-    fn build(&mut self) {
+    pub(super) fn build(&mut self) {
         let [low, high] = &self.of_value;
         let are_enough = low.count.min(high.count) >= DWELLS_MIN;
         self.survivals = are_enough.then(|| Arc::new([Survival::of(&low.secs), Survival::of(&high.secs)]));

@@ -3,7 +3,6 @@
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
 use super::{ahead::Ahead, dwell::Survival, filter, lead_time::LeadTimeWeights, noise, *};
-use crate::StateKind;
 
 const SEC: i64 = 1_000_000_000;
 
@@ -143,9 +142,6 @@ fn the_rates_behind_a_known_sensor_are_found() {
     let belief = learned_by(Belief::of_sensor(StateSensor::new(0.9, 0.1).unwrap()), &samples);
     let sum = 1.0 / 7200.0 + 1.0 / 10_800.0;
     assert!((belief.rates().sum() / sum - 1.0).abs() < 0.2, "{:?}", belief.rates());
-    let parts = belief.to_parts();
-    let again = Belief::from_parts_of(StateKind::Probability, parts).unwrap();
-    assert_eq!(again.with_sensor(belief.sensor().unwrap()), belief);
 }
 
 #[test]
@@ -267,24 +263,6 @@ fn old_readings_are_merged_and_changes_are_kept() {
     recent.observe(400 * SEC, 0.5);
     assert_eq!(recent, before);
     assert_eq!(Recent::from_spans(before.spans()), Ok(before));
-}
-
-#[test]
-fn a_belief_comes_back_from_its_parts() {
-    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 900.0 } else { 1800.0 }, random);
-    let belief = learned(&simulate(7, 10_000, dwell, |_| 60.0, 0.05));
-    let parts = belief.to_parts();
-    assert_eq!(Belief::from_parts_of(StateKind::Probability, parts.clone()), Ok(belief));
-    for wrong in [
-        BeliefParts { seen_rates: [0.0, 1.0], ..parts.clone() },
-        BeliefParts { noise: [0.5, 0.0], ..parts.clone() },
-        BeliefParts { errors: [f64::NAN, 0.0, 0.0, 0.0], ..parts.clone() },
-        BeliefParts { lead_sums: vec![1.0; 7], ..parts.clone() },
-        BeliefParts { dwell_counts: [0, 0], ..parts.clone() },
-        BeliefParts { newest: Some((1, 2.0)), ..parts },
-    ] {
-        assert!(Belief::from_parts_of(StateKind::Probability, wrong).is_err());
-    }
 }
 
 proptest::proptest! {

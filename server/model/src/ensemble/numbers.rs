@@ -10,15 +10,14 @@
 //! constant. So values are kept relative to the first reading, and errors are compared with errors only.
 
 mod ahead;
+mod fields;
 mod members;
-mod parts;
 mod spread;
 mod stack;
 mod table;
 
 use ahead::{AheadMembers, FarStacks};
 use members::{DayMembers, MEMBERS, PRIORS, Pool, pooled};
-pub use parts::NumberEnsembleParts;
 use spread::Spread;
 use stack::LinearStack;
 use table::{Levels, Shapes, Tables};

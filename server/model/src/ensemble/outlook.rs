@@ -128,6 +128,14 @@ pub(super) struct Profile {
     pub(super) rhythm: Rhythm,
 }
 
+impl Default for StoredForecast {
+    fn default() -> StoredForecast {
+        const NONE: Bytes = [0; 7 * HOURS];
+        let rhythm = Rhythm::UNKNOWN;
+        StoredForecast { day: LocalDay(0), mean: 0.0, week: NONE, recent: NONE, chosen: NONE, rhythm }
+    }
+}
+
 impl Profile {
     /// A value of all seasons, moved to the season of a day.
     pub(super) fn moved(&self, value: f64, day: LocalDay) -> f64 {
@@ -147,7 +155,7 @@ impl Profile {
 }
 
 /// The losses and the stored forecasts of one lead-time class.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Class {
     pub(super) losses: [f32; FAR_MEMBERS],
     /// Number of bins explained by the pool, and by the mean; each bin is shared in proportion to their weighted

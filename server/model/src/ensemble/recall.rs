@@ -53,8 +53,8 @@ impl SeenDay {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Recall {
     /// Indexed by the day's number modulo [`DAYS`]; empty before the first learned day.
-    days: Vec<SeenDay>,
-    last: Option<LocalDay>,
+    pub(super) days: Vec<SeenDay>,
+    pub(super) last: Option<LocalDay>,
 }
 
 impl Recall {
@@ -109,17 +109,6 @@ impl Recall {
             kept.values[slot / 2] |= of_day.values[slot / 2] & (0xf << (4 * (slot % 2)));
         }
         kept.seen |= new;
-    }
-
-    /// The stored days, in the order of their indices.
-    pub(super) fn days(&self) -> &[SeenDay] {
-        &self.days
-    }
-
-    /// A recall from stored days: none, or [`DAYS`] of them; `None` for any other number.
-    pub(super) fn from_days(days: Vec<SeenDay>, last: Option<LocalDay>) -> Option<Recall> {
-        let complete = if last.is_some() { days.len() == DAYS } else { days.is_empty() };
-        complete.then_some(Recall { days, last })
     }
 }
 

@@ -4,7 +4,12 @@
 //! standard deviations above the usual error of such days. Lower errors than usual never ring it. Invariant: the sum is
 //! finite and not negative, and once the alarm rings it rings until it is reset.
 
-use crate::{InvalidParts, LocalDay};
+use std::slice;
+
+use crate::{
+    InvalidParts, LocalDay,
+    fields::{Fields, NOT_NEGATIVE, Visitor},
+};
 
 #[cfg(test)]
 mod tests;
@@ -45,6 +50,19 @@ pub struct ChangeAlarmParts {
     pub last_day: Option<LocalDay>,
     /// The day on which the alarm rang, if it rings.
     pub alarm_day: Option<LocalDay>,
+}
+
+impl Fields for ChangeAlarmParts {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        let numbers = self.kinds.each_mut().map(|kind| [&mut kind.days, &mut kind.mean, &mut kind.variance]);
+        let [[one, two, three], [four, five, six]] = numbers;
+        let numbers = [one, two, three, four, five, six];
+        visitor.lists(1, "errors of the days of a kind", NOT_NEGATIVE, &mut numbers.map(slice::from_mut))?;
+        visitor.number(2, "typical observations", NOT_NEGATIVE, &mut self.typical_observations)?;
+        visitor.number(3, "alarm sum", NOT_NEGATIVE, &mut self.sum)?;
+        visitor.integer(4, "last day of an alarm", &mut self.last_day)?;
+        visitor.integer(5, "day of an alarm", &mut self.alarm_day)
+    }
 }
 
 /// The history of the errors of one kind of days.

@@ -11,6 +11,7 @@
 
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
+use crate::fields::{FINITE, Fields, Visitor};
 
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 
@@ -28,7 +29,7 @@ mod tests;
 const SLOTS_PER_WEEK: usize = SLOTS_PER_DAY * DAYS_OF_WEEK;
 
 /// The parts of a [`Calibrated`] model, for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CalibratedParts {
     /// Number of readings that it was trained on, at least 1.
     pub observations: u64,
@@ -39,6 +40,16 @@ pub struct CalibratedParts {
     /// The predicted value in each slot of ten minutes of the week, from Monday 00:00 local: 1,008 of them, each
     /// between the lowest and the highest reading.
     pub profile: Vec<f64>,
+}
+
+/// Tags 1 and 2 belong to the training.
+impl Fields for CalibratedParts {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        visitor.integer(3, "observations of a calibrated model", &mut self.observations)?;
+        visitor.number(4, "lowest reading", FINITE, &mut self.lowest)?;
+        visitor.number(5, "highest reading", FINITE, &mut self.highest)?;
+        visitor.list(6, "profile of a calibrated model", FINITE, &mut self.profile)
+    }
 }
 
 /// A profile of the local week, shrunk to what the observations justify; see the module's head.

@@ -16,6 +16,7 @@ mod cluster;
 mod concentration;
 mod conditional;
 mod field;
+mod fields;
 mod grow;
 mod joint;
 mod mixture;

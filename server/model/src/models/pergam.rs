@@ -10,6 +10,7 @@ use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
+use crate::fields::{FINITE, Fields, Packed, Visitor};
 
 mod expectation;
 mod phases;
@@ -59,12 +60,33 @@ pub struct PergamGaussian {
 }
 
 /// The parts of a [`Pergam`], for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct PergamParts {
     /// The period τ, in nanoseconds.
     pub period_nanos: i64,
     /// The Gaussians; none if the state was never on.
     pub gaussians: Vec<PergamGaussian>,
+}
+
+/// Tag 1 belongs to the training.
+impl Fields for PergamParts {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        visitor.integer(2, "period of a mixture", &mut self.period_nanos)?;
+        visitor.list(3, "Gaussians of a mixture", FINITE, &mut self.gaussians)
+    }
+}
+
+impl Packed for PergamGaussian {
+    const BYTES: usize = <[f64; 3]>::BYTES;
+
+    fn put(&self, bytes: &mut Vec<u8>) {
+        [self.weight, self.mean_secs, self.deviation_secs].put(bytes);
+    }
+
+    fn take(bytes: &[u8]) -> PergamGaussian {
+        let [weight, mean_secs, deviation_secs] = Packed::take(bytes);
+        PergamGaussian { weight, mean_secs, deviation_secs }
+    }
 }
 
 /// A probability over a period, as a sum of wrapped Gaussians (Waldo eq. 7).

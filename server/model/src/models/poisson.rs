@@ -41,7 +41,7 @@ pub struct PoissonSpectral {
 }
 
 /// The parts of a [`PoissonSpectral`], for storage; the caller stores the periodicities.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoissonSpectralParts {
     /// Length of a bin in nanoseconds, a second to 400 days.
     pub bin_nanos: i64,

@@ -19,6 +19,7 @@ use crate::{
 };
 
 mod combination;
+mod fields;
 mod hourly;
 mod parts;
 #[cfg(test)]

@@ -5,8 +5,11 @@
 //! are those of a state that has the spectral model alone.
 
 use super::alternatives::{ALARM_DAYS, KEPT_AT_CHANGE};
+use std::array;
+
 use crate::{
     InvalidParts, LocalDay, ORDER_MAX, OrderErrors, Periodicities, SpectralModel,
+    fields::{Fields, NOT_NEGATIVE, Visitor},
     models::{
         ChangeAlarm, ChangeAlarmParts, DependenceSums, OrderGains, OrderGainsParts, half_square_of_probabilities,
         supported_order_of,
@@ -43,6 +46,17 @@ pub struct OrderWatchParts {
     pub last: Option<bool>,
     /// Number of supported components.
     pub supported: u8,
+}
+
+impl Fields for OrderWatchParts {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        self.gains.field(1, visitor)?;
+        visitor.messages(2, "change alarm", array::from_mut(&mut self.alarm))?;
+        visitor.number(3, "rate of changes", NOT_NEGATIVE, &mut self.change_rate_sum)?;
+        visitor.integer(4, "newest reading", &mut self.last)?;
+        visitor.integer(5, "supported order", &mut self.supported)?;
+        visitor.integer(6, "number of changes", &mut self.changes)
+    }
 }
 
 /// The errors of a day's predictions, made before the day was learned.

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{Belief, catalogue::TRAINED_AT_NIGHT, evaluate, models::Moment};
+use crate::{catalogue::TRAINED_AT_NIGHT, evaluate, models::Moment};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
@@ -201,7 +201,7 @@ fn parts_make_the_same_state_again() {
     )
     .unwrap()
     .with_alternatives(Alternatives::from_parts(state.alternatives().unwrap().to_parts()).unwrap())
-    .with_belief(Belief::from_parts_of(StateKind::Probability, state.belief().unwrap().to_parts()).unwrap());
+    .with_belief(state.belief().unwrap().clone());
     assert_eq!(again, state);
     let too_high =
         StateModel::from_parts(Accumulator::new(&week()), SpectralModel::default(), 16, OrderErrors::default());

@@ -9,10 +9,7 @@ use tidemap_grid::observed_times::ObservedTimes;
 use tidemap_layout::grid as layout;
 use tidemap_model::{GapSample, OrderWatch, OrderWatchParts};
 
-use super::{
-    Invalid,
-    alternatives::{decode_alarm, decode_gains, encode_alarm, encode_gains},
-};
+use super::{Invalid, fields};
 
 /// Larger counts are refused, so that the sum of two never overflows.
 const COUNT_MAX: u64 = 1 << 61;
@@ -48,26 +45,11 @@ pub(super) fn decode_times(message: &layout::GroupTimes) -> Result<Arc<ObservedT
     Ok(Arc::new(ObservedTimes { gaps, hours, by_hour }))
 }
 
-pub(super) fn encode_watch(watch: &OrderWatch) -> layout::CellWatch {
-    let parts = watch.to_parts();
-    layout::CellWatch {
-        gains_bits: encode_gains(parts.gains),
-        alarm: Some(encode_alarm(parts.alarm)),
-        change_rate_sum_bits: parts.change_rate_sum.to_bits(),
-        last: parts.last,
-        supported: u32::from(parts.supported),
-        changes: parts.changes,
-    }
+pub(super) fn encode_watch(watch: &OrderWatch) -> Vec<u8> {
+    fields::write(watch.to_parts())
 }
 
-pub(super) fn decode_watch(message: &layout::CellWatch) -> Result<OrderWatch, Invalid> {
-    let parts = OrderWatchParts {
-        gains: decode_gains(&message.gains_bits)?,
-        alarm: decode_alarm(message.alarm.as_ref())?,
-        change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
-        changes: message.changes,
-        last: message.last,
-        supported: u8::try_from(message.supported).map_err(|_| "the supported order of a cell is too high")?,
-    };
-    OrderWatch::from_parts(parts).map_err(|_| "the support of the components of a cell is not valid")
+pub(super) fn decode_watch(message: impl AsRef<[u8]>) -> Result<OrderWatch, Invalid> {
+    let parts = fields::read(OrderWatchParts::default(), message.as_ref());
+    parts.and_then(OrderWatch::from_parts).map_err(|_| "the support of the components of a cell is not valid")
 }

@@ -5,10 +5,10 @@
 
 use tidemap_layout::index::StateRow;
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_model::Periodicities;
+use tidemap_model::{AlternativesParts, Periodicities};
 
 use super::{
-    doubles,
+    fields,
     snapshot::{self, SpectrumIn},
     varint::{push_varint, take_varint},
 };
@@ -17,17 +17,14 @@ use super::{
 pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
     let published =
         StateSnapshot { name: state.name.clone(), model: std::sync::Arc::new(state.model.published()), ..*state };
-    // The published state has no spectrum, so no spectrum can be unreadable.
-    let mut message = snapshot::encode_state(id, &published, published.model.accumulator().to_parts());
+    let mut known = published.model.alternatives().map(|known| known.to_parts());
     let mut hours = Vec::new();
-    if let Some(known) = &mut message.alternatives {
-        let mut numbers = Vec::new();
-        doubles::take(&std::mem::take(&mut known.hours), &mut numbers);
-        for number in numbers {
-            // The last bytes of small numbers, and of halves of them, are 0.
-            push_varint(&mut hours, number.to_bits().swap_bytes());
-        }
+    for number in known.as_mut().map(|known| std::mem::take(&mut known.hours).numbers()).unwrap_or_default() {
+        // The last bytes of small numbers, and of halves of them, are 0.
+        push_varint(&mut hours, number.to_bits().swap_bytes());
     }
+    // The published state has no spectrum, so no spectrum can be unreadable.
+    let message = snapshot::encode_state_with(id, &published, published.model.accumulator().to_parts(), known);
     StateRow { state: Some(message), hours }
 }
 
@@ -41,7 +38,7 @@ pub(crate) fn decode(id: usize, row: StateRow, periodicities: &Periodicities) ->
             while !bytes.is_empty() {
                 numbers.push(f64::from_bits(take_varint(&mut bytes)?.swap_bytes()));
             }
-            doubles::push(&mut known.hours, &numbers);
+            fields::append_list(known, AlternativesParts::HOURS, &numbers);
         }
         None if row.hours.is_empty() => {}
         None => return Err("a row has hours of an untrained state".to_owned()),

@@ -10,12 +10,13 @@ use tidemap_map::{
     snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Component, LABELS, LocalDay, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Belief, Component, InvalidParts, LABELS, LocalDay,
+    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Recent, ShortRecord, SpectralModel,
+    StateKind, StateModel,
 };
 
 use super::{
-    Invalid, alternatives, belief,
+    Invalid, fields,
     ids::{decode_producer_key, decode_state_kind, encode_producer_key, encode_state_kind},
     rows, sensors, surprises, tables,
 };
@@ -182,6 +183,16 @@ pub(crate) fn decode_producer(id: usize, message: &layout::Producer) -> Result<P
 
 /// A state with its sums.
 pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> layout::State {
+    encode_state_with(id, state, accumulator, state.model.alternatives().map(|known| known.to_parts()))
+}
+
+/// A state with its sums, and with these parts of its alternatives.
+pub(crate) fn encode_state_with(
+    id: u32,
+    state: &StateSnapshot,
+    accumulator: AccumulatorParts,
+    known: Option<AlternativesParts>,
+) -> layout::State {
     let persistence = state.persistence.to_parts();
     let spectral = state.model.spectral();
     let errors = state.model.errors().to_parts();
@@ -192,7 +203,6 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     };
     // If all observations have weight 1, their weight is their number.
     let weight = Some(accumulator.weight).filter(|&weight| weight != accumulator.observations as f64);
-    let known = state.model.alternatives().map(|known| alternatives::encode(known, weight));
     layout::State {
         id,
         name: state.name.as_str().to_owned(),
@@ -220,7 +230,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
         order: state.model.best_order() as u32,
         error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: errors.last_day.map(|day| day.0),
-        alternatives: known,
+        alternatives: known.map(|parts| fields::write(AlternativesParts { weight, ..parts })),
         short: accumulator.short.map(|short| layout::ShortRecord {
             readings: short
                 .readings
@@ -231,8 +241,8 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
             batches: short.batches,
         }),
         surprises: surprises::encode(state.model.surprises()),
-        belief: state.model.belief().map(belief::encode),
-        recent: belief::encode_recent(state.recent.spans()),
+        belief: state.model.belief().cloned().map(fields::write),
+        recent: fields::pack(state.recent.spans()),
         sensor: state.model.sensor().map(sensors::encode_state_sensor),
         rows: rows::encode(&state.model, state.newest_row),
     }
@@ -280,10 +290,14 @@ pub(crate) fn decode_state(
         kind,
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
-        recent: belief::decode_recent(&message.recent)?,
+        recent: decode_recent(&message.recent).map_err(|error| error.to_string())?,
         newest_row: rows::decode_newest(message.rows.as_ref())?,
         model: Arc::new(decode_model(kind, message, periodicities, spectrum)?),
     })
+}
+
+fn decode_recent(bytes: &[u8]) -> Result<Recent, InvalidParts> {
+    Recent::from_spans(&fields::unpack("the recent readings of a state", bytes)?)
 }
 
 fn decode_model(
@@ -300,10 +314,13 @@ fn decode_model(
     if !rest.is_empty() || !odd.is_empty() || spectrum.len() != sums.periodicities as usize {
         return Err("a spectrum does not have its length".to_owned());
     }
-    let weight = message.alternatives.as_ref().and_then(|known| known.weight_bits);
+    let invalid = |error: InvalidParts| error.to_string();
+    let known = message.alternatives.as_ref().map(|known| fields::read(AlternativesParts::default(), known));
+    let known = known.transpose().map_err(invalid)?;
+    let weight = known.as_ref().and_then(|known| known.weight);
     let accumulator = AccumulatorParts {
         observations: sums.observations,
-        weight: weight.map_or(sums.observations as f64, f64::from_bits),
+        weight: weight.unwrap_or(sums.observations as f64),
         sum: f64::from_bits(sums.sum_bits),
         sum_squares: f64::from_bits(sums.sum_squares_bits),
         first_nanos: sums.first_nanos,
@@ -322,7 +339,6 @@ fn decode_model(
         sums: error_sums.try_into().map_err(|_| "the sums of errors are not 16")?,
         last_day: message.errors_last_day.map(LocalDay),
     };
-    let invalid = |error: tidemap_model::InvalidParts| error.to_string();
     let accumulator = match spectrum_in {
         SpectrumIn::Checkpoint => Accumulator::from_parts_of(kind, periodicities, accumulator),
         SpectrumIn::Nowhere => Accumulator::published_from_parts(kind, accumulator),
@@ -337,7 +353,10 @@ fn decode_model(
     .map_err(invalid)?;
     let model = model.with_surprises(surprises::decode(message.surprises.as_ref())?);
     let model = match &message.belief {
-        Some(known) => model.with_belief(belief::decode(kind, known)?),
+        Some(known) => {
+            let belief = fields::read(Belief::new(false), known).and_then(|known| known.of_kind(kind));
+            model.with_belief(belief.map_err(invalid)?)
+        }
         None => model,
     };
     let model = match &message.sensor {
@@ -348,8 +367,11 @@ fn decode_model(
         None => model,
     };
     let model = rows::decode(model, message.rows.as_ref())?;
-    Ok(match &message.alternatives {
-        Some(known) => model.with_alternatives(alternatives::decode(kind, known, periodicities)?),
+    Ok(match known {
+        Some(known) => {
+            let known = Alternatives::from_parts_of(kind, known.with_periodicities(periodicities));
+            model.with_alternatives(known.map_err(invalid)?)
+        }
         None => model,
     })
 }

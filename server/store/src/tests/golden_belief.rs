@@ -5,37 +5,39 @@ use std::sync::Arc;
 use prost::Message as _;
 use tidemap_layout::map::State;
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_model::{Belief, BeliefParts, GapCountParts, OpenDwell, Recent, RecentSpan, StateKind, StateModel};
+use tidemap_model::{Belief, Recent, RecentSpan, StateModel};
 
-use super::golden_states::{alternatives, spec, state};
-use crate::record::snapshot::{SpectrumIn, decode_state, encode_state};
+use super::{
+    golden_ensemble::{read, written},
+    golden_states::{alternatives, state},
+    wire::{self, Message},
+};
+use crate::record::{fields, snapshot::encode_state};
+
+fn message() -> Message {
+    let octave = |octave, pairs, secs| [octave, pairs, secs, 3.0, 0.5, 0.25, 1.25];
+    let newest = Message::default().signed(1, 1_700_000_000_000_000_000).double(2, 1.0);
+    let numbers = [0.000_5, 0.002, 0.000_25, 0.001, 9.5, 0.75, 20.25, 1.5, 0.09, 0.125, 7.5];
+    let low = Message::default().singles(1, &[600.0, 1200.5]).integer(2, 2).singles(3, &[300.0]);
+    let high = Message::default().singles(1, &[90.25]).integer(2, 1);
+    let open = Message::default().integer(1, 1).signed(2, 1_699_999_000_000_000_000).double(3, 60.0);
+    let sums: Vec<f64> = (0..18_u8).map(|sum| f64::from(sum) / 4.0).collect();
+    Message::default()
+        .integer(1, 1)
+        .bytes(2, newest)
+        .bytes(3, fields::pack(&spans()))
+        .doubles(4, &numbers)
+        .doubles(5, &[octave(35.0, 5.0, 300.0), octave(40.0, 5.0, 6000.5)].concat())
+        .doubles(6, &octave(35.0, 4.75, 285.0))
+        .integer(7, 28)
+        .bytes(8, low)
+        .bytes(8, high)
+        .bytes(9, open.signed(4, 1_700_000_000_000_000_000))
+        .doubles(10, &sums)
+}
 
 fn belief() -> Belief {
-    let octave = |octave, pairs| GapCountParts { octave, pairs, counts: [3.0, 0.5, 0.25, 1.25] };
-    let spans = spans();
-    let parts = BeliefParts {
-        has_two_values: true,
-        newest: Some((1_700_000_000_000_000_000, 1.0)),
-        recent: spans,
-        seen: vec![octave(35, [5.0, 300.0]), octave(40, [5.0, 6000.5])],
-        seen_rates: [0.000_5, 0.002],
-        hidden: vec![octave(35, [4.75, 285.0])],
-        hidden_rates: [0.000_25, 0.001],
-        errors: [9.5, 0.75, 20.25, 1.5],
-        noise: [0.09, 0.125],
-        gain: 7.5,
-        days: 28,
-        dwells: [vec![600.0, 1200.5], vec![90.25]],
-        dwell_counts: [2, 1],
-        fresh_dwells: [vec![300.0], Vec::new()],
-        open: Some(OpenDwell {
-            is_one: true,
-            since: Some((1_699_999_000_000_000_000, 60.0)),
-            last_nanos: 1_700_000_000_000_000_000,
-        }),
-        lead_sums: (0..18_u8).map(|sum| f64::from(sum) / 4.0).collect(),
-    };
-    Belief::from_parts_of(StateKind::Probability, parts).expect("valid")
+    fields::read(Belief::new(true), &message().0).expect("valid")
 }
 
 fn spans() -> Vec<RecentSpan> {
@@ -55,29 +57,31 @@ fn beliefs_are_written_as_they_always_were_and_come_back() {
     let message = encode_state(0, &state, state.model.accumulator().to_parts());
     let bytes = State { belief: message.belief.clone(), recent: message.recent.clone(), ..State::default() };
     assert_eq!(crc32c::crc32c(&bytes.encode_to_vec()), 0xDC7B_FBBA, "a belief is written in another way");
-    let again = decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint);
-    assert_eq!(again, Ok(state));
+    assert_eq!(message.belief, Some(self::message().0));
+    assert_eq!(read(&message.encode_to_vec()), Ok(state));
 }
 
 #[test]
 fn wrong_beliefs_are_refused() {
-    let state = known();
-    let whole = encode_state(0, &state, state.model.accumulator().to_parts());
-    let refused = |change: &dyn Fn(&mut State)| {
-        let mut message = whole.clone();
-        change(&mut message);
-        decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint).is_err()
+    let bytes = written(&known());
+    let refused =
+        |path: &[u32], change: &dyn Fn(&mut Vec<u8>)| read(&wire::changed(&bytes, path, Some(change))).is_err();
+    let number = |tag: u32, at: usize, number: f64| {
+        refused(&[20, tag], &|content| content[8 * at..8 * (at + 1)].copy_from_slice(&number.to_le_bytes()))
     };
-    let changes: [&dyn Fn(&mut tidemap_layout::map::Belief); 5] = [
-        &|belief| belief.numbers.truncate(80),
-        &|belief| belief.dwells.truncate(1),
-        &|belief| belief.seen.truncate(8),
-        &|belief| belief.lead_sums.truncate(8),
-        &|belief| belief.recent.truncate(15),
-    ];
-    for (number, change) in changes.into_iter().enumerate() {
-        assert!(refused(&|message| message.belief.iter_mut().for_each(change)), "change {number}");
-    }
-    assert!(refused(&|message| message.recent.truncate(17)));
-    assert!(!refused(&|_| ()));
+    assert!(!number(4, 0, 1.0), "a rate");
+    assert!(number(4, 0, 0.0) && number(4, 3, f64::INFINITY), "no rate");
+    assert!(number(4, 4, -1.0) && number(4, 7, f64::NAN), "expected readings");
+    assert!(number(4, 8, 0.5) && number(4, 9, -0.1), "sensor noise");
+    assert!(number(4, 10, f64::NAN), "a gain");
+    assert!(number(5, 0, 64.0) && number(5, 0, -1.0) && number(6, 0, f64::NAN), "an octave");
+    assert!(number(5, 1, 0.0) && number(5, 2, -1.0) && number(5, 6, -1.0), "counts of pairs");
+    assert!(number(10, 9, -1.0) && !number(10, 8, -1.0), "sums of squares");
+    assert!(refused(&[20, 4], &|content| content.truncate(80)));
+    assert!(refused(&[20, 5], &|content| content.truncate(8)));
+    assert!(refused(&[20, 8, 2], &|content| *content = vec![0]), "dwells that are more than their number");
+    assert!(refused(&[20, 2, 2], &|content| *content = 2.0_f64.to_le_bytes().to_vec()), "no probability");
+    assert!(refused(&[20, 3], &|content| content.truncate(15)));
+    assert!(refused(&[21], &|content| content.truncate(17)));
+    assert!(!refused(&[21], &|_| ()));
 }

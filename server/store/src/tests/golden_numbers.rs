@@ -1,26 +1,32 @@
 //! The bytes of the ensemble of a state that is no probability, and what of them is refused.
 
-use prost::Message as _;
-use tidemap_layout::{ensemble::NumberEnsemble, map::State};
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_model::{Alternatives, LocalDay, NumberEnsembleParts, StateKind};
+use tidemap_model::{Alternatives, NumberEnsemble, StateKind};
 
-use super::golden_states::{alternatives, spec, state_of};
-use crate::record::snapshot::{SpectrumIn, decode_state, encode_state};
+use super::{
+    golden_ensemble::{read, written},
+    golden_states::{alternatives, state_of},
+    wire::{self, Message},
+};
+use crate::record::fields;
 
 /// Number of numbers in an ensemble.
 const NUMBERS: u16 = 2079;
 
+/// The path of tags from a state to its ensemble.
+const PATH: [u32; 2] = [14, 21];
+
+fn message() -> Message {
+    let numbers: Vec<f64> = (0..NUMBERS).map(|number| f64::from(number) / 4.0).collect();
+    let seen: Vec<u8> = (0..14_u64).flat_map(|day| ((1 << 47) | day).to_le_bytes()).collect();
+    let message = Message::default().signed(1, 20_340).doubles(2, &numbers).bytes(3, seen);
+    let turns: [&[i64]; 4] = [&[20_340, 20_338], &[20_336, 20_329], &[20_332, 20_304], &[20_301]];
+    turns.iter().fold(message, |message, days| message.bytes(4, Message::default().days(1, days))).bytes(4, [])
+}
+
 pub(super) fn known() -> StateSnapshot {
-    let day = |day| LocalDay(20_300 + day);
-    let numbers = NumberEnsembleParts {
-        last_day: Some(day(40)),
-        numbers: (0..NUMBERS).map(|number| f64::from(number) / 4.0).collect(),
-        seen: (0..14_u64).map(|day| (1 << 47) | day).collect(),
-        kept_days: vec![vec![day(40), day(38)], vec![day(36), day(29)], vec![day(32), day(4)], vec![day(1)], vec![]],
-    };
     let mut parts = alternatives(None).to_parts();
-    parts.numbers = Some(Box::new(numbers));
+    parts.numbers = Some(Box::new(fields::read(NumberEnsemble::default(), &message().0).expect("valid")));
     let known = Alternatives::from_parts_of(StateKind::Continuous, parts).expect("valid");
     state_of(StateKind::Continuous, "temperature", known)
 }
@@ -28,29 +34,30 @@ pub(super) fn known() -> StateSnapshot {
 #[test]
 fn ensembles_of_numbers_are_written_as_they_always_were_and_come_back() {
     let state = known();
-    let message = encode_state(0, &state, state.model.accumulator().to_parts());
-    let numbers = message.alternatives.as_ref().and_then(|known| known.numbers.clone()).expect("an ensemble");
-    let found = crc32c::crc32c(&numbers.encode_to_vec());
+    let bytes = written(&state);
+    let numbers = wire::content(&bytes, &PATH).expect("an ensemble");
+    let found = crc32c::crc32c(&numbers);
     assert_eq!(found, 0x074D_C95A, "an ensemble is written in another way: {found:#X}");
-    let again = decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint);
-    assert_eq!(again, Ok(state));
+    assert_eq!(numbers, message().0);
+    assert_eq!(read(&bytes), Ok(state));
 }
 
 #[test]
 fn wrong_ensembles_of_numbers_are_refused() {
-    let state = known();
-    let whole = encode_state(0, &state, state.model.accumulator().to_parts());
-    let refused = |change: &dyn Fn(&mut NumberEnsemble)| {
-        let mut message: State = whole.clone();
-        let known = message.alternatives.as_mut().and_then(|known| known.numbers.as_deref_mut());
-        known.into_iter().for_each(change);
-        decode_state(0, &message, &spec().periodicities, SpectrumIn::Checkpoint).is_err()
+    let bytes = written(&known());
+    let refused = |tag: u32, change: &dyn Fn(&mut Vec<u8>)| {
+        read(&wire::changed(&bytes, &[PATH[0], PATH[1], tag], Some(change))).is_err()
     };
-    assert!(!refused(&|_| ()));
-    assert!(refused(&|known| known.numbers.truncate(8)));
-    assert!(refused(&|known| known.numbers.truncate(8 * usize::from(NUMBERS) - 1)));
-    assert!(refused(&|known| known.numbers.extend([0; 8])));
-    assert!(refused(&|known| known.seen.truncate(2)));
-    assert!(refused(&|known| known.turns.truncate(2)));
-    assert!(refused(&|known| known.turns.iter_mut().for_each(|turns| turns.days.push(3))));
+    let number = |at: usize, number: f64| {
+        refused(2, &|content| content[8 * at..8 * (at + 1)].copy_from_slice(&number.to_le_bytes()))
+    };
+    assert!(!number(1, 1.0) && !number(2, -1.0));
+    assert!(number(1, -1.0) && number(2, f64::NAN) && number(usize::from(NUMBERS) - 1, f64::INFINITY));
+    assert!(refused(2, &|content| content.truncate(8)));
+    assert!(refused(3, &|content| content.truncate(2 * 8)));
+    let turns = |days: &[i64]| refused(4, &|content| *content = Message::default().days(1, days).0);
+    assert!(!turns(&[9, 3]) && !turns(&[9]) && !turns(&[]));
+    assert!(turns(&[3, 9]) && turns(&[9, 9]) && turns(&[9, 3, 1]));
+    let without_day = wire::changed(&bytes, &[PATH[0], PATH[1], 1], None);
+    assert!(read(&without_day).is_err(), "bins of no day");
 }

@@ -45,6 +45,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         error_sums: vec![4.0, 3.5, 0.1, 7.25],
         last_day: Some(LocalDay(19_675)),
         learned_day: Some(LocalDay(19_676)),
+        weight: None,
         choice: if calibrated.flatten().is_some() { 128 } else { 2 },
         alarm: ChangeAlarmParts {
             kinds: [kind(20.5), kind(8.0)],

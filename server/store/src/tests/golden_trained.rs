@@ -72,7 +72,7 @@ fn known(state_kind: StateKind, models: Vec<(TrainedModelParts, Option<f64>)>, c
     Alternatives::from_parts_of(state_kind, parts).expect("valid")
 }
 
-fn snapshot() -> MapSnapshot {
+pub(super) fn snapshot() -> MapSnapshot {
     let gaussian = |weight, mean_secs| PergamGaussian { weight, mean_secs, deviation_secs: 900.0 };
     let pergam = PergamParts {
         period_nanos: 86_400_000_000_000,

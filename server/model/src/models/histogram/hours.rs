@@ -55,13 +55,31 @@ pub struct HourTable {
 }
 
 /// The parts of an [`HourTable`], for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct HourTableParts {
     /// 168 cells, one per hour of the local week from Monday, midnight: `[weight, Σ value]` of the readings.
     pub cells: Vec<[f64; 2]>,
     /// 48 cells, per hour of the local day first of weekdays, then of Saturday and Sunday: `[weight, Σ m, Σ m²]` of the
     /// means m of that hour on single days.
     pub days: Vec<[f64; 3]>,
+}
+
+impl HourTableParts {
+    /// All numbers: those of `cells`, then those of `days`.
+    pub fn numbers(&self) -> Vec<f64> {
+        [self.cells.as_flattened(), self.days.as_flattened()].concat()
+    }
+
+    /// The parts of these numbers.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where their number is not that of a table.
+    pub fn of_numbers(numbers: &[f64]) -> Result<HourTableParts, InvalidParts> {
+        let wrong = InvalidParts::OutOfRange { field: "numbers of the hours", found: numbers.len() as f64 };
+        let (cells, days) = numbers.split_at_checked(2 * WEEK_HOURS).ok_or(wrong.clone())?;
+        let ((cells, []), (days, [])) = (cells.as_chunks(), days.as_chunks()) else { return Err(wrong) };
+        Ok(HourTableParts { cells: cells.to_vec(), days: days.to_vec() })
+    }
 }
 
 /// The variation of the mean value of one hour of the day between days.

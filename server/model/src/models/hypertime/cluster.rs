@@ -9,6 +9,7 @@ use nalgebra::{Cholesky, DMatrix};
 
 use super::concentration::{CONCENTRATION_MAX, log_normaliser};
 use crate::InvalidParts;
+use crate::fields::{FINITE, Fields, Visitor};
 
 #[cfg(test)]
 mod tests;
@@ -24,7 +25,7 @@ const FARTHEST: f64 = 1e150;
 
 /// One cluster of a hypertime model, in plain numbers. Linear coordinates are standardised by the model's axes;
 /// cosines and sines are as they are.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct HypertimeCluster {
     /// Share of the readings in the cluster, in `[0,1]`.
     pub weight: f64,
@@ -36,6 +37,16 @@ pub struct HypertimeCluster {
     pub directions_rad: Vec<f64>,
     /// Concentration κ around each direction, at least 0 (HyT-KM; otherwise empty).
     pub concentrations: Vec<f64>,
+}
+
+impl Fields for HypertimeCluster {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        visitor.number(1, "cluster.weight", FINITE, &mut self.weight)?;
+        visitor.list(2, "cluster.centre", FINITE, &mut self.centre)?;
+        visitor.list(3, "cluster.factor", FINITE, &mut self.factor)?;
+        visitor.list(4, "cluster.directions_rad", FINITE, &mut self.directions_rad)?;
+        visitor.list(5, "cluster.concentrations", FINITE, &mut self.concentrations)
+    }
 }
 
 /// A cluster with precomputed values.

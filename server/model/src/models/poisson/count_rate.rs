@@ -2,11 +2,14 @@
 //!
 //! Invariant: the forecast is positive and finite.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, slice};
 
 use super::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
 use crate::models::{CannotTrain, Moment, Readings, TemporalModel};
-use crate::{InvalidParts, Periodicities};
+use crate::{
+    Component, InvalidParts, Periodicities,
+    fields::{FINITE, Fields, Visitor},
+};
 
 /// A [`PoissonSpectral`] model in bins of [`COUNT_BIN_NANOS`], and the usual number of readings in an observed bin.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,7 +19,7 @@ pub struct CountRate {
 }
 
 /// The parts of a [`CountRate`], for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CountRateParts {
     /// The periodicities that the model was trained with: those of the map.
     pub periodicities: Periodicities,
@@ -24,6 +27,32 @@ pub struct CountRateParts {
     pub bins: PoissonSpectralParts,
     /// Mean number of readings in an observed bin, at least 1.
     pub readings_per_bin: f64,
+}
+
+/// Tag 1 belongs to the training. The periodicities are those of the map, and not stored.
+impl Fields for CountRateParts {
+    fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
+        let PoissonSpectralParts { bin_nanos, mean, floor, components } = &mut self.bins;
+        visitor.integer(2, "bin of counts", bin_nanos)?;
+        let rates = [mean, floor, &mut self.readings_per_bin];
+        visitor.lists(3, "rates of counts", FINITE, &mut rates.map(slice::from_mut))?;
+        let mut indices: Vec<u32> = components.iter().map(|component| component.periodicity).collect();
+        visitor.integers(4, "components of counts", &mut indices)?;
+        let mut gammas: Vec<[f64; 2]> = components.iter().map(|one| [one.gamma_re, one.gamma_im]).collect();
+        visitor.list(5, "coefficients of counts", FINITE, &mut gammas)?;
+        visitor.accept(|| {
+            let found = gammas.len() as f64;
+            if gammas.len() == indices.len() {
+                Ok(())
+            } else {
+                Err(InvalidParts::OutOfRange { field: "coefficients of counts", found })
+            }
+        })?;
+        let component =
+            |(periodicity, [gamma_re, gamma_im]): (u32, [f64; 2])| Component { periodicity, gamma_re, gamma_im };
+        *components = indices.into_iter().zip(gammas).map(component).collect();
+        Ok(())
+    }
 }
 
 impl CountRate {

@@ -4,7 +4,10 @@
 //! before the day was learned, with the order that was best until then, so this is validation of the choice on held-out
 //! data (T-RO section IV.B). Invariant: sums are finite.
 
-use crate::{InvalidParts, ORDER_MAX, Periodicities};
+use crate::{
+    InvalidParts, ORDER_MAX, Periodicities,
+    fields::{FINITE, Visitor},
+};
 
 /// A gain counts if its mean over days exceeds this many of its standard errors.
 const STANDARD_ERRORS: f64 = 2.5;
@@ -31,6 +34,18 @@ pub struct OrderGainsParts {
     pub sum: f64,
     /// The sum of the squares of these differences.
     pub squares: f64,
+}
+
+impl OrderGainsParts {
+    /// Visits the three numbers as one field, which is absent before the first day.
+    pub(crate) fn field<V: Visitor>(&mut self, tag: u32, visitor: &mut V) -> Result<(), V::Refused> {
+        let known = Some(*self).filter(|parts| *parts != OrderGainsParts::default());
+        let mut numbers = known.map(|OrderGainsParts { days, sum, squares }| [days, sum, squares]);
+        visitor.list(tag, "gains of the orders", FINITE, &mut numbers)?;
+        let [days, sum, squares] = numbers.unwrap_or_default();
+        *self = OrderGainsParts { days, sum, squares };
+        Ok(())
+    }
 }
 
 impl OrderGains {

@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
-    AnyEnsemble, Ensemble, EnsembleParts, Gaps, GapsParts, InvalidParts, LocalDay, NumberEnsemble, NumberEnsembleParts,
-    Persistence, PersistenceParts, StateKind,
+    AnyEnsemble, Ensemble, Gaps, GapsParts, InvalidParts, LocalDay, NumberEnsemble, Persistence, PersistenceParts,
+    StateKind,
     catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel, TrainedModelParts},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
 
 /// The parts of [`Alternatives`], for storage.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct AlternativesParts {
     /// The readings by hour of the week.
     pub hours: HourTableParts,
@@ -25,6 +25,9 @@ pub struct AlternativesParts {
     pub learned_day: Option<LocalDay>,
     /// The model in force: see [`ModelKind::id`].
     pub choice: u8,
+    /// Total weight of the observations of the accumulator, where it differs from their number. The state keeps it, not
+    /// its alternatives.
+    pub weight: Option<f64>,
     /// The change alarm.
     pub alarm: ChangeAlarmParts,
     /// Persistence of the learned readings.
@@ -44,9 +47,9 @@ pub struct AlternativesParts {
     /// The models that were trained on readings, at most one of a kind.
     pub trained: Vec<TrainingRecordParts>,
     /// The ensemble of a state of probabilities, where it is enabled.
-    pub ensemble: Option<Box<EnsembleParts>>,
+    pub ensemble: Option<Box<Ensemble>>,
     /// The ensemble of a state of other values, where it is enabled.
-    pub numbers: Option<Box<NumberEnsembleParts>>,
+    pub numbers: Option<Box<NumberEnsemble>>,
 }
 
 /// The stored form of a model that was trained on readings.
@@ -69,6 +72,7 @@ impl Alternatives {
             last_day: self.parts.last_day,
             learned_day: self.parts.learned_day,
             choice: self.parts.choice.id().unwrap_or_default(),
+            weight: None,
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
             gaps: self.gaps.to_parts(),
@@ -78,8 +82,8 @@ impl Alternatives {
             days: self.days,
             since: self.since,
             trained: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
-            ensemble: self.ensemble().and_then(AnyEnsemble::of_probability).map(|own| Box::new(own.to_parts())),
-            numbers: self.ensemble().and_then(AnyEnsemble::of_number).map(|own| Box::new(own.to_parts())),
+            ensemble: self.ensemble().and_then(AnyEnsemble::of_probability).cloned().map(Box::new),
+            numbers: self.ensemble().and_then(AnyEnsemble::of_number).cloned().map(Box::new),
         }
     }
 
@@ -113,11 +117,7 @@ impl Alternatives {
         if is_of_other_kind {
             return Err(InvalidParts::OutOfRange { field: "ensemble of another kind of states", found: f64::NAN });
         }
-        let of_probability = parts.ensemble.map(|parts| Ensemble::from_parts(&parts)).transpose()?;
-        let of_number = parts.numbers.map(|parts| NumberEnsemble::from_parts(&parts)).transpose()?;
-        let ensemble = of_probability
-            .map(|own| AnyEnsemble::Probability(Box::new(own)))
-            .or(of_number.map(|own| AnyEnsemble::Number(Box::new(own))));
+        let ensemble = parts.ensemble.map(AnyEnsemble::Probability).or(parts.numbers.map(AnyEnsemble::Number));
         let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
         for record in parts.trained {
             let model = TrainedModel::from_parts_of(kind, record.model)?;
