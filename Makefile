@@ -20,6 +20,9 @@ WEBSOCKETS := 17.4
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
 TESTED = --workspace --locked --bins --tests $(FEATURES)
+# What installed and packaged programs have, and only few users need: clusters, traces, Foxglove.
+FULL := --features tidemapd/full,tidemap/full
+CORNERS :=
 # All but the allocator, whose C code takes as long to build as a crate of the daemon.
 FEATURES := --no-default-features --features tidemapd/traces
 
@@ -27,10 +30,10 @@ FEATURES := --no-default-features --features tidemapd/traces
 help:
 	@sed -n 's/^## \([a-z-]*\): /  make \1\t/p' Makefile | expand -t 22
 
-## build: the daemon, the command line and the load generator, optimised
+## build: the daemon, the command line and the load generator, optimised; without clusters, traces and Foxglove
 build:
 	@$(SETUP)
-	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench $(CORNERS)
 
 ## web: the page, from client/web into client/web/dist, which the daemon embeds; needs Node
 web:
@@ -54,7 +57,7 @@ foxglove:
 
 ## api-page: docs/src/api.md, from the descriptors of the wire; a test holds it equal
 api-page:
-	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemapd --lib api_page
+	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemap-web --lib api_page
 
 ## guide-outputs: writes what the commands of README.md and docs/src show today; read the difference before you keep it
 guide-outputs:
@@ -149,14 +152,14 @@ soak:
 ## cluster-bench: measures a cluster of three engines and three daemons on this machine; FIGURES="lag moves" for some
 cluster-bench:
 	@$(SETUP) cluster
-	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench $(FULL)
 	@$(ENV); python3 deploy/cluster_bench.py "$(BUILT)" $(FIGURES)
 
 ## cluster-faults: harms a cluster in network namespaces with CLUSTER_FAULTS faults (300); SEED=n; can be resumed; root
 cluster-faults: export CLUSTER_FAULTS ?= 300
 cluster-faults:
 	@$(SETUP) cluster
-	@$(ENV); cargo build --release --locked $(FEATURES) -p tidemapd -p tidemap -p tidemap-tests --bins
+	@$(ENV); cargo build --release --locked $(FEATURES),tidemapd/cluster -p tidemapd -p tidemap -p tidemap-tests --bins
 	@$(ENV); python3 deploy/cluster_faults.py "$(BUILT)" $(CLUSTER_FAULTS) $(or $(SEED),1) $(KINDS)
 
 ## fuzz: any bytes for the readers of the wire, of CSV and of every file, SECS seconds each (default 60)
@@ -178,7 +181,7 @@ durability: export TIDEMAP_OPERATIONS ?= 20000
 durability: export TIDEMAP_TOKEN_READS ?= 100000
 durability: export TIDEMAP_FULL := 1
 # With what ships.
-durability: FEATURES :=
+durability: FEATURES := $(FULL)
 durability:
 	@$(SETUP) test
 	@$(ENV); cargo build --release $(TESTED)
@@ -189,6 +192,7 @@ durability:
 	fi
 
 # Completions and man pages, which both programs write themselves.
+install texts deb schemathesis: CORNERS := $(FULL)
 texts: build
 	@deploy/texts.sh "$(BUILT)" target/texts
 

@@ -21,7 +21,8 @@ PLATFORMS = ("x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu")
 
 def metadata():
     filters = [word for platform in PLATFORMS for word in ("--filter-platform", platform)]
-    command = ["cargo", "metadata", "--locked", "--format-version", "1", *filters]
+    features = ("--features", "tidemapd/full,tidemap/full")
+    command = ["cargo", "metadata", "--locked", "--format-version", "1", *features, *filters]
     return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
 
 

@@ -109,7 +109,8 @@ def executables():
     """The test program of each package, built."""
     packages = {row.package for row in ROWS}
     flags = [] if PROFILE == "dev" else ["--profile", PROFILE]
-    command = ["cargo", "build", "--workspace", "--locked", "--bins", "--tests", *flags]
+    command = ["cargo", "build", "--workspace", "--locked", "--bins", "--tests",
+               "--features", "tidemapd/full,tidemap/full", *flags]
     lines = subprocess.run([*command, "--message-format", "json-render-diagnostics"], cwd=ROOT, check=True,
                            stdout=subprocess.PIPE, text=True).stdout
     found = {}

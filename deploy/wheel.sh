@@ -33,7 +33,7 @@ if [ "$zig" = yes ] && ! "$tools/bin/pip" install --quiet --disable-pip-version-
 fi
 
 if [ "$zig" = yes ] &&
-    ! PATH="$tools/bin:$PATH" cargo zigbuild --release --locked -p tidemapd --target "$triple.$GLIBC"; then
+    ! PATH="$tools/bin:$PATH" cargo zigbuild --release --locked -p tidemapd --features full --target "$triple.$GLIBC"; then
     say "zig could not link the daemon; the wheel is for this machine's glibc and newer"
     zig=no
 fi
@@ -41,7 +41,7 @@ if [ "$zig" = yes ]; then
     built=$target/$triple/release
     arguments=(--zig --compatibility "manylinux_${GLIBC/./_}")
 else
-    cargo build --release --locked -p tidemapd
+    cargo build --release --locked -p tidemapd --features full
     built=$target/release
     arguments=()
 fi
