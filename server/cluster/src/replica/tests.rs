@@ -39,7 +39,7 @@ const UID: u64 = 0x7EA_2026;
 const DAEMONS: usize = 3;
 const PRODUCERS: usize = 3;
 /// Seeds of the short form. `make durability` tries thousands.
-const SEEDS: u64 = 600;
+const SEEDS: u64 = 200;
 
 /// The events that daemons and producers have seen.
 #[derive(Default)]

@@ -96,7 +96,7 @@ fn updates_that_are_run_again_train_the_same_models() {
             "{kind:?}"
         );
     }
-    for (snapshot, pieces_before) in snapshots.into_iter().step_by(4) {
+    for (snapshot, pieces_before) in snapshots.into_iter().step_by(13) {
         let (position, from) = (snapshot.position, snapshot.replay_from);
         let mut restored = LiveMap::restore(of_all(), snapshot);
         // History reaches as far as the snapshot; later history comes from the updates that are run again.
@@ -175,8 +175,7 @@ fn a_record_is_learned_alike_in_one_update_and_night_by_night() {
         map.publish()
     };
     let nightly = learned(&|_| true);
-    let others =
-        [learned(&|_| false), learned(&|number| number % 9 == 4), learned(&|number| number < 3 || number == 20)];
+    let others = [learned(&|_| false), learned(&|number| number < 3 || number == 20)];
     for other in others {
         for state in [0, 1].map(StateId) {
             assert_eq!(other.model(state), nightly.model(state));
