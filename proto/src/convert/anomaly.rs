@@ -4,7 +4,7 @@
 
 use tidemap_grid::index::{CellBox, CellIndex};
 use tidemap_map::{
-    anomaly::{CannotJudge, Confidence, SurpriseQuestion, can_judge, can_watch},
+    anomaly::{Anomaly, CannotJudge, Confidence, SurpriseQuestion, can_judge, can_watch},
     name::StateName,
 };
 use tidemap_model::{KEPT_CONFIDENCE, SurpriseRun, selector::ModelSelector};
@@ -154,6 +154,45 @@ pub fn surprise_from_wire(wire: v1::Surprise) -> Option<(String, SurpriseRun)> {
         bits,
     };
     is_whole.then_some((state, run))
+}
+
+/// Anomalies of a state or a cell for the wire, in their order.
+#[must_use]
+pub fn anomalies_to_wire(anomalies: impl IntoIterator<Item = Anomaly>) -> v1::FindAnomaliesResponse {
+    let mut reply = v1::FindAnomaliesResponse::default();
+    for anomaly in anomalies {
+        push(anomaly, &mut reply.times_nanos, &mut reply.values, &mut reply.probabilities);
+    }
+    reply
+}
+
+/// Anomalies of a categorical state for the wire, each with its observed label, in their order.
+#[must_use]
+pub fn label_anomalies_to_wire(anomalies: impl IntoIterator<Item = (String, Anomaly)>) -> v1::FindAnomaliesResponse {
+    let (labels, anomalies): (Vec<String>, Vec<Anomaly>) = anomalies.into_iter().unzip();
+    v1::FindAnomaliesResponse { labels, ..anomalies_to_wire(anomalies) }
+}
+
+/// Anomalies of a watch for the wire, each with the name of its state or cell, in their order. `missed`: the number of
+/// observations that were not judged.
+#[must_use]
+pub fn watched_to_wire(
+    anomalies: impl IntoIterator<Item = (String, Anomaly)>,
+    missed: u64,
+) -> v1::WatchAnomaliesResponse {
+    let mut reply = v1::WatchAnomaliesResponse { missed_observations: missed, ..Default::default() };
+    for (state, anomaly) in anomalies {
+        reply.states.push(state);
+        push(anomaly, &mut reply.times_nanos, &mut reply.values, &mut reply.probabilities);
+    }
+    reply
+}
+
+/// Adds an anomaly to the columns of a reply.
+fn push(anomaly: Anomaly, times_nanos: &mut Vec<i64>, values: &mut Vec<f64>, probabilities: &mut Vec<f64>) {
+    times_nanos.push(anomaly.utc_nanos);
+    values.push(anomaly.value);
+    probabilities.push(anomaly.probability);
 }
 
 fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {

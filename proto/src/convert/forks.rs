@@ -116,6 +116,42 @@ pub fn forked_observations_to_wire(
     wire
 }
 
+/// The observations of an event, at most `at_once` in each part, with the producer that the envelope is of.
+pub fn forked_parts_to_wire(
+    (producer, label): (String, String),
+    envelope: &Envelope,
+    observations: Vec<v1::ForkedObservation>,
+    at_once: usize,
+) -> impl Iterator<Item = v1::ForkedObservations> {
+    let incarnation = envelope.incarnation;
+    let mut rest = observations.into_iter().peekable();
+    std::iter::from_fn(move || {
+        rest.peek()?;
+        let observations = rest.by_ref().take(at_once).collect();
+        Some(v1::ForkedObservations { producer: producer.clone(), label: label.clone(), incarnation, observations })
+    })
+}
+
+/// The observations of a producer in a fork, compared with what the map has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ForkedProducer {
+    /// The first sequence number in the fork.
+    pub first_sequence: u64,
+    /// The last sequence number in the fork.
+    pub last_sequence: u64,
+    /// Number of observations in the fork.
+    pub observations: u64,
+    /// Number of these that the map has as well.
+    pub known_observations: u64,
+}
+
+/// The observations of a producer in a fork, for the wire.
+#[must_use]
+pub fn forked_producer_to_wire(producer: String, label: String, held: ForkedProducer) -> v1::ForkedProducer {
+    let ForkedProducer { first_sequence, last_sequence, observations, known_observations } = held;
+    v1::ForkedProducer { producer, label, first_sequence, last_sequence, observations, known_observations }
+}
+
 /// The observations of an event that cannot be sent again, one for each sequence number.
 #[must_use]
 pub fn left_to_wire(envelope: &Envelope, why: &str) -> Vec<v1::ForkedObservation> {

@@ -1,9 +1,9 @@
-//! Predictions of flows: questions, and people to avoid on a route.
+//! Predictions of flows: questions and replies, and people to avoid on a route.
 //!
 //! Invariant: numbers are finite and within range. The handler of the request checks from the map whether the states
 //! are positions and have directions.
 
-use tidemap_model::models::{FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS};
+use tidemap_model::models::{CellFlow, FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS, FlowModel};
 use tidemap_plan::encounters::NEAR_M;
 
 use super::positions::{PositionRegion, edge_from_wire, region_from_wire, window_from_wire};
@@ -102,6 +102,34 @@ pub fn flow_source_to_wire(source: FlowSource) -> v1::FlowSource {
         region: region.map(|PositionRegion { low_m, high_m }| v1::PositionBox { low_m, high_m }),
         resolution_m: edge_m.unwrap_or_default(),
         directions: u32::try_from(directions).unwrap_or(u32::MAX),
+    }
+}
+
+/// The raster of a flow for the wire, with what it was learned from. `generation`: that of the map.
+#[must_use]
+pub fn flow_header_to_wire(flow: &FlowModel, generation: u64) -> v1::FlowHeader {
+    let options = flow.options();
+    let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    v1::FlowHeader {
+        low_m: options.raster.low_m.to_vec(),
+        resolution_m: options.raster.edge_m,
+        counts: options.raster.counts.map(number).to_vec(),
+        directions: number(options.directions),
+        detections: flow.detections(),
+        rhythmic_cells: number(flow.orders().filter(|(_, order)| *order > 0).count()),
+        generation,
+    }
+}
+
+/// Cells of a flow for the wire, at the time with this index of the question. Their detections are those that are
+/// expected in a window of this length.
+#[must_use]
+pub fn flow_cells_to_wire(time_index: u32, cells: &[CellFlow], window_secs: f64) -> v1::FlowCells {
+    v1::FlowCells {
+        time_index,
+        indices: cells.iter().map(|found| u32::try_from(found.cell).unwrap_or(u32::MAX)).collect(),
+        expected_counts: cells.iter().map(|found| found.total_per_sec() * window_secs).collect(),
+        shares: cells.iter().flat_map(CellFlow::shares).collect(),
     }
 }
 

@@ -1,7 +1,7 @@
-//! Predictions of positions, and of states by place: questions.
+//! Predictions of positions: questions and replies; and of states by place: questions.
 //!
-//! Invariant: numbers are finite and within range. The handler of the request checks from the map how many coordinates
-//! a place has.
+//! Invariant: numbers of a question are finite and within range. The handler of the request checks from the map how
+//! many coordinates a place has.
 
 use tidemap_model::{VALUE_MAX, selector::ModelKind};
 
@@ -9,7 +9,7 @@ use super::{interval_level_from_wire, selector_from_wire};
 use crate::{
     convert::{
         InvalidField,
-        time::{nanos_from_duration, times_from_wire},
+        time::{nanos_from_duration, times_from_wire, timestamp},
     },
     v1,
 };
@@ -61,6 +61,73 @@ pub fn positions_from_wire(request: v1::PredictPositionsRequest) -> Result<Posit
         window_nanos: window_from_wire(count_window)?,
         region: region.map(|region| region_from_wire("region", region)).transpose()?,
         top: if top == 0 { usize::MAX } else { top as usize },
+    })
+}
+
+/// The cells of all times of a reply, and what they were learned from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PositionsHeader {
+    /// The lower corner of the cells, metres.
+    pub low_m: Vec<f64>,
+    /// Edge of a cell, metres.
+    pub edge_m: f64,
+    /// Number of cells along each axis.
+    pub counts: Vec<usize>,
+    /// Number of observations of the vector.
+    pub observations: u64,
+    /// Number of observations that the model was trained on.
+    pub trained_observations: u64,
+    /// Time of the last observation, nanoseconds UTC.
+    pub last_nanos: Option<i64>,
+    /// Generation of the map.
+    pub generation: u64,
+}
+
+/// The header of a reply for the wire.
+#[must_use]
+pub fn positions_header_to_wire(header: PositionsHeader) -> v1::PositionsHeader {
+    v1::PositionsHeader {
+        low_m: header.low_m,
+        resolution_m: header.edge_m,
+        counts: header.counts.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+        observations: header.observations,
+        trained_observations: header.trained_observations,
+        last_time: header.last_nanos.map(timestamp),
+        generation: header.generation,
+    }
+}
+
+/// The expected positions at a time, or in the window that begins then.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PositionForecast {
+    /// Cells by their index, with their probabilities.
+    pub cells: Vec<(u32, f64)>,
+    /// The mean position, metres.
+    pub mean_m: Vec<f64>,
+    /// Probability of everything outside the cells of the reply.
+    pub outside: f64,
+    /// Number of positions in the window; 0 without one.
+    pub count: f64,
+}
+
+/// The expected positions at the time with this index of the question for the wire, at most `at_once` cells in each
+/// part. The first part has all that is not a cell; there is always a first part.
+pub fn position_cells_to_wire(
+    time_index: u32,
+    forecast: PositionForecast,
+    at_once: usize,
+) -> impl Iterator<Item = v1::PositionCells> {
+    let PositionForecast { cells, mean_m, outside, count } = forecast;
+    let mut head =
+        Some(v1::PositionCells { expected_m: mean_m, outside, expected_count: count, ..v1::PositionCells::default() });
+    let mut rest = cells.into_iter().peekable();
+    std::iter::from_fn(move || {
+        let head = match head.take() {
+            Some(head) => head,
+            None => rest.peek().map(|_| v1::PositionCells::default())?,
+        };
+        let (indices, probabilities) = rest.by_ref().take(at_once).unzip();
+        Some(v1::PositionCells { time_index, indices, probabilities, ..head })
     })
 }
 
