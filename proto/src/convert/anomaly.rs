@@ -287,4 +287,19 @@ mod tests {
         assert_eq!(field(v1::WatchAnomaliesRequest { location, ..Default::default() }), "location");
         assert_eq!(field(v1::WatchAnomaliesRequest { confidence: Some(0.2), ..Default::default() }), "confidence");
     }
+
+    #[test]
+    fn the_columns_of_anomalies_are_of_equal_length() {
+        let anomaly = |utc_nanos, value, probability| Anomaly { utc_nanos, value, probability };
+        let found = [anomaly(5, 1.0, 0.01), anomaly(9, 0.0, 0.995)];
+        let plain = anomalies_to_wire(found);
+        assert_eq!((plain.times_nanos.as_slice(), plain.values.as_slice()), (&[5, 9][..], &[1.0, 0.0][..]));
+        assert_eq!((plain.probabilities.as_slice(), plain.labels.len()), (&[0.01, 0.995][..], 0));
+        let labelled = label_anomalies_to_wire([("eat".to_owned(), found[0]), ("cook".to_owned(), found[1])]);
+        assert_eq!(labelled.labels, ["eat", "cook"]);
+        assert_eq!(v1::FindAnomaliesResponse { labels: Vec::new(), ..labelled }, plain);
+        let watched = watched_to_wire([("door".to_owned(), found[0])], 3);
+        assert_eq!((watched.states.as_slice(), watched.missed_observations), (&["door".to_owned()][..], 3));
+        assert_eq!((watched.times_nanos, watched.values, watched.probabilities), (vec![5], vec![1.0], vec![0.01]));
+    }
 }

@@ -254,4 +254,25 @@ mod tests {
         let declared = super::super::vectors::declared_state_from_wire(&request).expect("valid");
         assert_eq!((declared.name, declared.shape), (vector.name, vector.shape));
     }
+
+    #[test]
+    fn observations_of_a_fork_are_sent_in_parts() {
+        let parts = |count: u64| -> Vec<Vec<u64>> {
+            let envelope = envelope(1, count, &[]);
+            let producer = ("robot".to_owned(), "arm".to_owned());
+            let observations = (1..=count)
+                .map(|sequence| v1::ForkedObservation { sequence, ..v1::ForkedObservation::default() })
+                .collect();
+            let parts = forked_parts_to_wire(producer, &envelope, observations, 2);
+            parts
+                .map(|part| {
+                    assert_eq!((part.producer.as_str(), part.label.as_str(), part.incarnation), ("robot", "arm", 1));
+                    part.observations.iter().map(|row| row.sequence).collect()
+                })
+                .collect()
+        };
+        assert!(parts(0).is_empty());
+        assert_eq!(parts(2), [vec![1, 2]]);
+        assert_eq!(parts(5), [vec![1, 2], vec![3, 4], vec![5]]);
+    }
 }

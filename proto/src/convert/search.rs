@@ -296,4 +296,14 @@ mod tests {
             assert!(speed_from_wire(wrong).is_err(), "{wrong}");
         }
     }
+
+    #[test]
+    fn a_joint_answer_has_the_probability_of_the_time_that_passed_or_else_of_the_best() {
+        let at = |time_nanos, probability| JointAt { time_nanos, probability };
+        let passed = joint_to_wire(Some(at(5, 0.75)), at(7, 0.875));
+        assert_eq!((passed.time, passed.probability), (Some(timestamp(5)), 0.75));
+        assert_eq!(passed.best_time, Some(timestamp(7)));
+        let best = joint_to_wire(None, at(7, 0.25));
+        assert_eq!((best.time, best.probability, best.best_time), (None, 0.25, Some(timestamp(7))));
+    }
 }

@@ -66,3 +66,60 @@ pub fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
         model: Some(selector_to_wire(entry.chosen)),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tidemap_grid::outcome::TileOutcome;
+    use tidemap_map::name::StateName;
+    use tidemap_model::{ORDER_MAX, UpdateOutcome};
+
+    use super::*;
+
+    fn state(kind: ModelKind, scored: u64) -> v1::StateUpdate {
+        let mut squared_errors = [8.0; ORDER_MAX + 1];
+        squared_errors[2] = 2.0;
+        let outcome = UpdateOutcome {
+            order_before: 1,
+            order: 2,
+            observations: 5,
+            scored,
+            squared_errors,
+            squared_error_in_force: 3.0,
+        };
+        let name = StateName::new("door").expect("valid");
+        state_update_to_wire(&StateOutcome {
+            name,
+            outcome,
+            chosen: ModelSelector { kind, ..ModelSelector::default() },
+        })
+    }
+
+    #[test]
+    fn the_error_of_a_state_is_that_of_the_model_that_predicts_from_now_on() {
+        let errors = |update: v1::StateUpdate| (update.mean_squared_error_before, update.mean_squared_error);
+        assert_eq!(errors(state(ModelKind::Spectral, 4)), (Some(2.0), Some(0.5)));
+        assert_eq!(errors(state(ModelKind::Mean, 4)), (Some(2.0), Some(0.75)));
+        assert_eq!(errors(state(ModelKind::Mean, 0)), (None, None), "nothing was scored");
+        let update = state(ModelKind::Spectral, 4);
+        assert_eq!((update.state.as_str(), update.order_before, update.order), ("door", 1, 2));
+    }
+
+    #[test]
+    fn the_row_of_cells_has_the_most_frequent_order_and_in_a_tie_the_lower_one() {
+        let by_order = |counts: [u64; 3]| {
+            let mut by_order = [0; ORDER_MAX + 1];
+            by_order[..3].copy_from_slice(&counts);
+            by_order
+        };
+        let cells =
+            TileOutcome { scored: 4, squared_error_in_force: 2.0, squared_error_chosen: 1.0, ..TileOutcome::default() };
+        let update = cells_update_to_wire(&GridOutcome {
+            cells,
+            cells_by_order_before: by_order([0, 3, 3]),
+            cells_by_order: by_order([1, 2, 5]),
+            ..GridOutcome::default()
+        });
+        assert_eq!((update.state.as_str(), update.order_before, update.order), ("cell/*", 1, 2));
+        assert_eq!((update.mean_squared_error_before, update.mean_squared_error), (Some(0.5), Some(0.25)));
+    }
+}

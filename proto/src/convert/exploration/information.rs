@@ -217,4 +217,13 @@ mod tests {
         assert_eq!(views_from_wire(request).expect_err("wrong").field, "viewpoints");
         assert_eq!(visit_from_wire(&v1::ReportVisitRequest::default()).expect_err("wrong").field, "at");
     }
+
+    #[test]
+    fn a_viewpoint_has_numbers_or_the_reason_why_it_has_none() {
+        let seen = view_to_wire(2, Ok::<_, String>(vec![Some(1.5), None]));
+        assert_eq!((seen.viewpoint, seen.reason.as_str(), seen.information_bits[0]), (2, "", 1.5));
+        assert!(seen.information_bits.len() == 2 && seen.information_bits[1].is_nan());
+        let unusable = view_to_wire(3, Err("it is in a wall"));
+        assert_eq!((unusable.reason.as_str(), unusable.information_bits.len()), ("it is in a wall", 0));
+    }
 }

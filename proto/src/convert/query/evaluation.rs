@@ -167,4 +167,19 @@ mod tests {
         assert_eq!(unpack(&[1, 2], &[0, 2]).err().as_deref(), Some("observations.state_indices"));
         assert_eq!(unpack(&[1, -2], &[0, 1]).err().as_deref(), Some("observations.times"));
     }
+
+    #[test]
+    fn only_probabilities_have_a_rate_of_errors_and_only_labels_a_loss() {
+        let errors = Evaluation { observations: 4, squared_error: 2.0, wrong: 1, log_loss_bits: 6.0 };
+        let row = |is_probability, has_labels| {
+            let (state, model) = ("door".to_owned(), ModelSelector::default());
+            let evaluated = EvaluatedModel { state, model, errors: &errors, is_probability, has_labels };
+            let wire = evaluated_model_to_wire(evaluated);
+            assert_eq!((wire.state.as_str(), wire.observations, wire.mean_squared_error), ("door", 4, 0.5));
+            (wire.error_rate, wire.log_loss_bits)
+        };
+        assert_eq!(row(false, false), (None, None));
+        assert_eq!(row(true, false), (Some(0.25), None));
+        assert_eq!(row(false, true), (None, Some(1.5)));
+    }
 }

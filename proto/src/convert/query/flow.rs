@@ -220,4 +220,12 @@ mod tests {
         let far = v1::PlanRouteRequest { near_m: 101.0, ..people };
         assert_eq!(avoid(&far).expect_err("wrong").field, "near_m");
     }
+
+    #[test]
+    fn cells_of_a_flow_have_a_share_per_direction() {
+        let cell = |cell, per_sec: [f64; 2]| CellFlow { cell, per_sec: per_sec.to_vec() };
+        let wire = flow_cells_to_wire(3, &[cell(5, [0.25, 0.75]), cell(8, [1.0, 1.0])], 10.0);
+        assert_eq!((wire.time_index, wire.indices.as_slice()), (3, &[5, 8][..]));
+        assert_eq!((wire.expected_counts, wire.shares), (vec![10.0, 20.0], vec![0.25, 0.75, 0.5, 0.5]));
+    }
 }

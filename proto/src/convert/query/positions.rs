@@ -285,4 +285,30 @@ mod tests {
         assert_eq!(field(v1::PredictAtPlacesRequest { density_values, ..request() }), "density_values[0]");
         assert_eq!(field(v1::PredictAtPlacesRequest { interval_level: 1.0, ..request() }), "interval_level");
     }
+
+    #[test]
+    fn only_the_first_part_of_a_forecast_has_more_than_cells() {
+        let parts = |count: u32| -> Vec<v1::PositionCells> {
+            let cells = (0..count).map(|cell| (cell, 0.125)).collect();
+            let forecast = PositionForecast { cells, mean_m: vec![1.0, 2.0], outside: 0.5, count: 3.0 };
+            position_cells_to_wire(4, forecast, 2).collect()
+        };
+        let head = |indices: Vec<u32>| v1::PositionCells {
+            time_index: 4,
+            probabilities: vec![0.125; indices.len()],
+            indices,
+            expected_m: vec![1.0, 2.0],
+            outside: 0.5,
+            expected_count: 3.0,
+        };
+        assert_eq!(parts(0), [head(Vec::new())], "everything lies outside");
+        assert_eq!(parts(2), [head(vec![0, 1])]);
+        let rest = v1::PositionCells {
+            time_index: 4,
+            indices: vec![2],
+            probabilities: vec![0.125],
+            ..v1::PositionCells::default()
+        };
+        assert_eq!(parts(3), [head(vec![0, 1]), rest]);
+    }
 }
