@@ -31,8 +31,8 @@ pub use flow::{
 };
 pub use past::past_to_wire;
 pub use positions::{
-    PlacesQuestion, PositionForecast, PositionRegion, PositionsHeader, PositionsQuestion, places_from_wire,
-    position_cells_to_wire, positions_from_wire, positions_header_to_wire,
+    PlacesForecast, PlacesQuestion, PositionForecast, PositionRegion, PositionsHeader, PositionsQuestion,
+    places_from_wire, places_to_wire, position_cells_to_wire, positions_from_wire, positions_header_to_wire,
 };
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};
 

@@ -1,4 +1,4 @@
-//! Predictions of positions: questions and replies; and of states by place: questions.
+//! Predictions of positions, and of states by place: questions and replies.
 //!
 //! Invariant: numbers of a question are finite and within range. The handler of the request checks from the map how
 //! many coordinates a place has.
@@ -163,6 +163,42 @@ pub fn places_from_wire(request: v1::PredictAtPlacesRequest) -> Result<PlacesQue
     check_numbers("density_values", &density_values)?;
     let (interval_level, kind) = (interval_level_from_wire(level)?, model_from_wire(model)?);
     Ok(PlacesQuestion { state, position_state, times_nanos, places_m, density_values, interval_level, kind })
+}
+
+/// Predictions of a state by place and time. The columns are in the order of the places, and of the times of each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlacesForecast {
+    /// The expected values; of an angle, the directions in radians.
+    pub expected: Vec<f64>,
+    /// The standard deviations; of an angle, the circular deviations in radians.
+    pub deviations: Vec<f64>,
+    /// The lower ends of the intervals; empty if none were requested.
+    pub lower: Vec<f64>,
+    /// The upper ends of the intervals; empty if none were requested.
+    pub upper: Vec<f64>,
+    /// The densities of the requested values, for each place and time.
+    pub densities: Vec<f64>,
+    /// Number of observations of the state.
+    pub observations: u64,
+    /// Number of observations that the model was trained on.
+    pub trained_observations: u64,
+    /// Generation of the map.
+    pub generation: u64,
+}
+
+/// Predictions by place and time, for the wire.
+#[must_use]
+pub fn places_to_wire(forecast: PlacesForecast) -> v1::PredictAtPlacesResponse {
+    v1::PredictAtPlacesResponse {
+        expected: forecast.expected,
+        deviations: forecast.deviations,
+        lower: forecast.lower,
+        upper: forecast.upper,
+        densities: forecast.densities,
+        observations: forecast.observations,
+        trained_observations: forecast.trained_observations,
+        generation: forecast.generation,
+    }
 }
 
 /// A model of positions.
