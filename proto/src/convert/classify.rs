@@ -81,7 +81,7 @@ pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<Class
 
 /// The probability of one label, with the factors that it is computed from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ClassifiedLabel {
+pub struct LabelPosterior {
     /// The label.
     pub label: String,
     /// The probability that it holds.
@@ -96,8 +96,8 @@ pub struct ClassifiedLabel {
 
 /// All labels of a classification for the wire; the caller adds the result of learning.
 #[must_use]
-pub fn classification_to_wire(labels: Vec<ClassifiedLabel>) -> v1::ClassifyActivityResponse {
-    let label = |ClassifiedLabel { label, probability, likelihood, temporal_prior, spatial_prior }| {
+pub fn classification_to_wire(labels: Vec<LabelPosterior>) -> v1::ClassifyActivityResponse {
+    let label = |LabelPosterior { label, probability, likelihood, temporal_prior, spatial_prior }| {
         v1::ClassifiedLabel { label, probability, likelihood, temporal_prior, spatial_prior }
     };
     v1::ClassifyActivityResponse {

@@ -25,7 +25,7 @@ mod slot;
 
 pub use day::{DayQuestion, DayTargets, DayTasks, day_from_wire, day_to_wire};
 pub use information::{
-    Information, InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire,
+    InformationQuestion, InformationTargets, TargetInformation, ViewsQuestion, VisitReport, information_from_wire,
     information_to_wire, reachability_to_wire, reached_places_to_wire, view_to_wire, views_from_wire, visit_from_wire,
 };
 pub use slot::{

@@ -31,7 +31,7 @@ pub use flow::{
 };
 pub use past::past_to_wire;
 pub use positions::{
-    PlacesForecast, PlacesQuestion, PositionForecast, PositionRegion, PositionsHeader, PositionsQuestion,
+    ExpectedPositions, PlacesForecast, PlacesQuestion, PositionRaster, PositionRegion, PositionsQuestion,
     places_from_wire, places_to_wire, position_cells_to_wire, positions_from_wire, positions_header_to_wire,
 };
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};

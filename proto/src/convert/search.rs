@@ -219,7 +219,7 @@ pub fn plan_to_wire(plan: &SearchPlan, topology: &Topology) -> v1::PlanSearchRes
 
 /// The presence of a target at one time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PresenceAt {
+pub struct NodePresence {
     /// The time, nanoseconds UTC.
     pub time_nanos: i64,
     /// Probability of presence at each node.
@@ -232,8 +232,12 @@ pub struct PresenceAt {
 
 /// The presence of a target at these nodes for the wire; the caller adds the nodes that were never observed.
 #[must_use]
-pub fn presence_to_wire(topology: &Topology, nodes: &[NodeId], times: Vec<PresenceAt>) -> v1::PredictPresenceResponse {
-    let at = |PresenceAt { time_nanos, probabilities, shares, anybody }| v1::PresenceAt {
+pub fn presence_to_wire(
+    topology: &Topology,
+    nodes: &[NodeId],
+    times: Vec<NodePresence>,
+) -> v1::PredictPresenceResponse {
+    let at = |NodePresence { time_nanos, probabilities, shares, anybody }| v1::PresenceAt {
         time_nanos,
         probabilities,
         shares,

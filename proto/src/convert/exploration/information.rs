@@ -83,7 +83,7 @@ pub fn information_from_wire(request: v1::GetInformationRequest) -> Result<Infor
 
 /// The information of a target at the times of a question.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Information {
+pub struct TargetInformation {
     /// Name of the state, cell or location; `region` for a region.
     pub target: String,
     /// The entropy in bits, one per time.
@@ -96,8 +96,8 @@ pub struct Information {
 
 /// The information of a target for the wire.
 #[must_use]
-pub fn information_to_wire(information: Information) -> v1::GetInformationResponse {
-    let Information { target, entropy_bits, information_bits, states } = information;
+pub fn information_to_wire(information: TargetInformation) -> v1::GetInformationResponse {
+    let TargetInformation { target, entropy_bits, information_bits, states } = information;
     v1::GetInformationResponse { target, entropy_bits, information_bits, states }
 }
 

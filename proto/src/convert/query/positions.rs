@@ -66,7 +66,7 @@ pub fn positions_from_wire(request: v1::PredictPositionsRequest) -> Result<Posit
 
 /// The cells of all times of a reply, and what they were learned from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PositionsHeader {
+pub struct PositionRaster {
     /// The lower corner of the cells, metres.
     pub low_m: Vec<f64>,
     /// Edge of a cell, metres.
@@ -85,7 +85,7 @@ pub struct PositionsHeader {
 
 /// The header of a reply for the wire.
 #[must_use]
-pub fn positions_header_to_wire(header: PositionsHeader) -> v1::PositionsHeader {
+pub fn positions_header_to_wire(header: PositionRaster) -> v1::PositionsHeader {
     v1::PositionsHeader {
         low_m: header.low_m,
         resolution_m: header.edge_m,
@@ -99,7 +99,7 @@ pub fn positions_header_to_wire(header: PositionsHeader) -> v1::PositionsHeader 
 
 /// The expected positions at a time, or in the window that begins then.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct PositionForecast {
+pub struct ExpectedPositions {
     /// Cells by their index, with their probabilities.
     pub cells: Vec<(u32, f64)>,
     /// The mean position, metres.
@@ -114,10 +114,10 @@ pub struct PositionForecast {
 /// part. The first part has all that is not a cell; there is always a first part.
 pub fn position_cells_to_wire(
     time_index: u32,
-    forecast: PositionForecast,
+    forecast: ExpectedPositions,
     at_once: usize,
 ) -> impl Iterator<Item = v1::PositionCells> {
-    let PositionForecast { cells, mean_m, outside, count } = forecast;
+    let ExpectedPositions { cells, mean_m, outside, count } = forecast;
     let mut head =
         Some(v1::PositionCells { expected_m: mean_m, outside, expected_count: count, ..v1::PositionCells::default() });
     let mut rest = cells.into_iter().peekable();
@@ -326,7 +326,7 @@ mod tests {
     fn only_the_first_part_of_a_forecast_has_more_than_cells() {
         let parts = |count: u32| -> Vec<v1::PositionCells> {
             let cells = (0..count).map(|cell| (cell, 0.125)).collect();
-            let forecast = PositionForecast { cells, mean_m: vec![1.0, 2.0], outside: 0.5, count: 3.0 };
+            let forecast = ExpectedPositions { cells, mean_m: vec![1.0, 2.0], outside: 0.5, count: 3.0 };
             position_cells_to_wire(4, forecast, 2).collect()
         };
         let head = |indices: Vec<u32>| v1::PositionCells {

@@ -16,7 +16,7 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::exploration::{
-        Information, InformationQuestion, InformationTargets, information_from_wire, information_to_wire,
+        InformationQuestion, InformationTargets, TargetInformation, information_from_wire, information_to_wire,
     },
     v1,
 };
@@ -46,14 +46,14 @@ fn of_target(
     rows: &[Vec<f64>],
     times: usize,
     certainty: Certainty,
-) -> Information {
+) -> TargetInformation {
     if *are_labels {
         let shares = |time: usize| {
             let mut shares: Vec<f64> = rows.iter().map(|row| row[time]).collect();
             normalise(&mut shares);
             shares
         };
-        return Information {
+        return TargetInformation {
             target: target.clone(),
             entropy_bits: (0..times).map(|time| entropy_of_labels_bits(&shares(time))).collect(),
             information_bits: (0..times).map(|time| certainty.bits_of_labels(&shares(time))).collect(),
@@ -61,7 +61,7 @@ fn of_target(
         };
     }
     let at = |time: usize| rows.iter().map(move |row| row[time]);
-    Information {
+    TargetInformation {
         target: target.clone(),
         entropy_bits: (0..times).map(|time| entropy_of(at(time))).collect(),
         information_bits: (0..times).map(|time| certainty.bits_of(at(time))).collect(),
@@ -76,11 +76,11 @@ fn of_region(
     options: &PredictOptions,
     (certainty, max_predictions): (Certainty, u64),
     stop: StopSignal<'_>,
-) -> Result<Information, RpcError> {
+) -> Result<TargetInformation, RpcError> {
     let grid = PredictedTimes::new(view, times_nanos, options, stop).map_err(PlanError::from)?;
     let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
     check_limit("cells x times", cells * times_nanos.len() as u64, max_predictions, "setting max_predictions")?;
-    let mut found = Information { target: "region".to_owned(), ..Information::default() };
+    let mut found = TargetInformation { target: "region".to_owned(), ..TargetInformation::default() };
     for time in 0..grid.times() {
         stop.check()?;
         let Some(grid) = grid.at(time) else { break };

@@ -20,7 +20,7 @@ use tidemap_map::{label_places::name_at_place, name::StateName, view::MapView};
 use tidemap_model::label_evidence::{LabelEvidence, normalise};
 use tidemap_proto::{
     convert::{
-        classify::{ClassifiedLabel, ClassifyQuestion, Learning, classification_to_wire, classify_from_wire},
+        classify::{ClassifyQuestion, LabelPosterior, Learning, classification_to_wire, classify_from_wire},
         observe::{StreamMessage, StreamStart, learned_readings, start_of_classification},
         vectors::DeclaredState,
     },
@@ -115,7 +115,7 @@ fn classified(
     view: &Arc<MapView>,
     question: &ClassifyQuestion,
     utc_nanos: i64,
-) -> Result<Vec<ClassifiedLabel>, RpcError> {
+) -> Result<Vec<LabelPosterior>, RpcError> {
     let name = question.state.as_str();
     let labels = view.labels(name);
     if labels.is_empty() {
@@ -143,7 +143,7 @@ fn classified(
     let spatial = question.place.as_ref().and_then(|place| view.label_prior_at(&question.state, place.as_str()));
     let evidence = LabelEvidence { likelihoods: &likelihoods, temporal: &temporal, spatial: spatial.as_deref() };
     let posterior = evidence.posterior().map_err(|error| Problem::Evidence(error).of("likelihoods"))?;
-    let known = |at: usize| ClassifiedLabel {
+    let known = |at: usize| LabelPosterior {
         label: labels[at].1.to_owned(),
         probability: posterior[at],
         likelihood: likelihoods[at],

@@ -14,7 +14,7 @@ use tidemap_map::{
 use tidemap_model::models::Moment;
 use tidemap_proto::{
     convert::query::{
-        PositionForecast, PositionRegion, PositionsHeader, PositionsQuestion, position_cells_to_wire,
+        ExpectedPositions, PositionRaster, PositionRegion, PositionsQuestion, position_cells_to_wire,
         positions_from_wire, positions_header_to_wire,
     },
     v1::{self, predict_positions_response::Message},
@@ -182,7 +182,7 @@ fn middles(start: i64, window: i64) -> Vec<i64> {
 
 fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) -> v1::PredictPositionsResponse {
     let live = view.live(first);
-    let header = PositionsHeader {
+    let header = PositionRaster {
         low_m: cells.low_m.clone(),
         edge_m: cells.edge_m,
         counts: cells.counts.clone(),
@@ -248,7 +248,7 @@ fn send_cells(
         found.sort_by(|(place, one), (other_place, other)| other.total_cmp(one).then(place.cmp(other_place)));
         found.truncate(top);
         let (mean_m, count, outside) = (expected.mean_m, expected.count, (1.0 - inside).clamp(0.0, 1.0));
-        let forecast = PositionForecast { cells: found, mean_m, outside, count };
+        let forecast = ExpectedPositions { cells: found, mean_m, outside, count };
         for cells in position_cells_to_wire(time_index, forecast, CELLS_PER_REPLY) {
             if !sink.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
                 return;

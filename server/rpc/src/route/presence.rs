@@ -6,7 +6,7 @@ use tidemap_answer::StateOrCell;
 use tidemap_plan::search::{anyone, next_above};
 use tidemap_proto::{
     convert::search::{
-        JointAt, JointQuestion, PresenceAt, PresenceQuestion, joint_from_wire, joint_to_wire, presence_from_wire,
+        JointAt, JointQuestion, NodePresence, PresenceQuestion, joint_from_wire, joint_to_wire, presence_from_wire,
         presence_to_wire,
     },
     v1,
@@ -36,7 +36,7 @@ pub(super) async fn predict_presence(
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();
         let sum: f64 = probabilities.iter().sum();
         let shares = if sum > 0.0 { probabilities.iter().map(|p| p / sum).collect() } else { Vec::new() };
-        PresenceAt { time_nanos, shares, anybody: anyone(probabilities.iter().copied()), probabilities }
+        NodePresence { time_nanos, shares, anybody: anyone(probabilities.iter().copied()), probabilities }
     };
     let presence = times.iter().enumerate().map(at).collect();
     let wire = presence_to_wire(view.site().topology(), &nodes, presence);
