@@ -55,6 +55,7 @@ pub mod task_runs;
 pub mod time;
 pub mod topology;
 pub mod traversals;
+pub mod updates;
 pub mod vectors;
 
 /// A request field with an invalid value.

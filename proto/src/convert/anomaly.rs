@@ -4,7 +4,7 @@
 
 use tidemap_grid::index::{CellBox, CellIndex};
 use tidemap_map::{
-    anomaly::{CannotJudge, Confidence, SurpriseQuestion, can_judge, can_watch},
+    anomaly::{Anomaly, CannotJudge, Confidence, SurpriseQuestion, can_judge, can_watch},
     name::StateName,
 };
 use tidemap_model::{KEPT_CONFIDENCE, SurpriseRun, selector::ModelSelector};
@@ -156,6 +156,45 @@ pub fn surprise_from_wire(wire: v1::Surprise) -> Option<(String, SurpriseRun)> {
     is_whole.then_some((state, run))
 }
 
+/// Anomalies of a state or a cell for the wire, in their order.
+#[must_use]
+pub fn anomalies_to_wire(anomalies: impl IntoIterator<Item = Anomaly>) -> v1::FindAnomaliesResponse {
+    let mut reply = v1::FindAnomaliesResponse::default();
+    for anomaly in anomalies {
+        push(anomaly, &mut reply.times_nanos, &mut reply.values, &mut reply.probabilities);
+    }
+    reply
+}
+
+/// Anomalies of a categorical state for the wire, each with its observed label, in their order.
+#[must_use]
+pub fn label_anomalies_to_wire(anomalies: impl IntoIterator<Item = (String, Anomaly)>) -> v1::FindAnomaliesResponse {
+    let (labels, anomalies): (Vec<String>, Vec<Anomaly>) = anomalies.into_iter().unzip();
+    v1::FindAnomaliesResponse { labels, ..anomalies_to_wire(anomalies) }
+}
+
+/// Anomalies of a watch for the wire, each with the name of its state or cell, in their order. `missed`: the number of
+/// observations that were not judged.
+#[must_use]
+pub fn watched_to_wire(
+    anomalies: impl IntoIterator<Item = (String, Anomaly)>,
+    missed: u64,
+) -> v1::WatchAnomaliesResponse {
+    let mut reply = v1::WatchAnomaliesResponse { missed_observations: missed, ..Default::default() };
+    for (state, anomaly) in anomalies {
+        reply.states.push(state);
+        push(anomaly, &mut reply.times_nanos, &mut reply.values, &mut reply.probabilities);
+    }
+    reply
+}
+
+/// Adds an anomaly to the columns of a reply.
+fn push(anomaly: Anomaly, times_nanos: &mut Vec<i64>, values: &mut Vec<f64>, probabilities: &mut Vec<f64>) {
+    times_nanos.push(anomaly.utc_nanos);
+    values.push(anomaly.value);
+    probabilities.push(anomaly.probability);
+}
+
 fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
     let name = match error {
         CannotJudge::Blended(blend) => blend.name(),
@@ -247,5 +286,20 @@ mod tests {
         let location = "a/b".to_owned();
         assert_eq!(field(v1::WatchAnomaliesRequest { location, ..Default::default() }), "location");
         assert_eq!(field(v1::WatchAnomaliesRequest { confidence: Some(0.2), ..Default::default() }), "confidence");
+    }
+
+    #[test]
+    fn the_columns_of_anomalies_are_of_equal_length() {
+        let anomaly = |utc_nanos, value, probability| Anomaly { utc_nanos, value, probability };
+        let found = [anomaly(5, 1.0, 0.01), anomaly(9, 0.0, 0.995)];
+        let plain = anomalies_to_wire(found);
+        assert_eq!((plain.times_nanos.as_slice(), plain.values.as_slice()), (&[5, 9][..], &[1.0, 0.0][..]));
+        assert_eq!((plain.probabilities.as_slice(), plain.labels.len()), (&[0.01, 0.995][..], 0));
+        let labelled = label_anomalies_to_wire([("eat".to_owned(), found[0]), ("cook".to_owned(), found[1])]);
+        assert_eq!(labelled.labels, ["eat", "cook"]);
+        assert_eq!(v1::FindAnomaliesResponse { labels: Vec::new(), ..labelled }, plain);
+        let watched = watched_to_wire([("door".to_owned(), found[0])], 3);
+        assert_eq!((watched.states.as_slice(), watched.missed_observations), (&["door".to_owned()][..], 3));
+        assert_eq!((watched.times_nanos, watched.values, watched.probabilities), (vec![5], vec![1.0], vec![0.01]));
     }
 }

@@ -79,6 +79,33 @@ pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<Class
     Ok(ClassifyQuestion { state, utc_nanos, likelihoods: known, place: place.transpose()?, selector, learning })
 }
 
+/// The probability of one label, with the factors that it is computed from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelPosterior {
+    /// The label.
+    pub label: String,
+    /// The probability that it holds.
+    pub probability: f64,
+    /// The likelihood of what was observed, as in the question.
+    pub likelihood: f64,
+    /// The probability of the label from the time alone.
+    pub temporal_prior: f64,
+    /// The probability of being at the place while the label holds; `None`: not known.
+    pub spatial_prior: Option<f64>,
+}
+
+/// All labels of a classification for the wire; the caller adds the result of learning.
+#[must_use]
+pub fn classification_to_wire(labels: Vec<LabelPosterior>) -> v1::ClassifyActivityResponse {
+    let label = |LabelPosterior { label, probability, likelihood, temporal_prior, spatial_prior }| {
+        v1::ClassifiedLabel { label, probability, likelihood, temporal_prior, spatial_prior }
+    };
+    v1::ClassifyActivityResponse {
+        labels: labels.into_iter().map(label).collect(),
+        ..v1::ClassifyActivityResponse::default()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -25,10 +25,12 @@ mod slot;
 
 pub use day::{DayQuestion, DayTargets, DayTasks, day_from_wire, day_to_wire};
 pub use information::{
-    InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, reached_places_to_wire,
-    views_from_wire, visit_from_wire,
+    InformationQuestion, InformationTargets, TargetInformation, ViewsQuestion, VisitReport, information_from_wire,
+    information_to_wire, reachability_to_wire, reached_places_to_wire, view_to_wire, views_from_wire, visit_from_wire,
 };
-pub use slot::{LocationChoice, SlotAllowance, SlotQuestion, slot_question_from_wire};
+pub use slot::{
+    LocationChoice, PlannedSlot, SlotAllowance, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
+};
 
 /// The number, or the default if it is 0.
 fn or(value: f64, default: f64) -> f64 {

@@ -116,6 +116,42 @@ pub fn forked_observations_to_wire(
     wire
 }
 
+/// The observations of an event, at most `at_once` in each part, with the producer that the envelope is of.
+pub fn forked_parts_to_wire(
+    (producer, label): (String, String),
+    envelope: &Envelope,
+    observations: Vec<v1::ForkedObservation>,
+    at_once: usize,
+) -> impl Iterator<Item = v1::ForkedObservations> {
+    let incarnation = envelope.incarnation;
+    let mut rest = observations.into_iter().peekable();
+    std::iter::from_fn(move || {
+        rest.peek()?;
+        let observations = rest.by_ref().take(at_once).collect();
+        Some(v1::ForkedObservations { producer: producer.clone(), label: label.clone(), incarnation, observations })
+    })
+}
+
+/// The observations of a producer in a fork, compared with what the map has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ForkedProducer {
+    /// The first sequence number in the fork.
+    pub first_sequence: u64,
+    /// The last sequence number in the fork.
+    pub last_sequence: u64,
+    /// Number of observations in the fork.
+    pub observations: u64,
+    /// Number of these that the map has as well.
+    pub known_observations: u64,
+}
+
+/// The observations of a producer in a fork, for the wire.
+#[must_use]
+pub fn forked_producer_to_wire(producer: String, label: String, held: ForkedProducer) -> v1::ForkedProducer {
+    let ForkedProducer { first_sequence, last_sequence, observations, known_observations } = held;
+    v1::ForkedProducer { producer, label, first_sequence, last_sequence, observations, known_observations }
+}
+
 /// The observations of an event that cannot be sent again, one for each sequence number.
 #[must_use]
 pub fn left_to_wire(envelope: &Envelope, why: &str) -> Vec<v1::ForkedObservation> {
@@ -217,5 +253,26 @@ mod tests {
         let request = added_state_to_wire("office", &vector);
         let declared = super::super::vectors::declared_state_from_wire(&request).expect("valid");
         assert_eq!((declared.name, declared.shape), (vector.name, vector.shape));
+    }
+
+    #[test]
+    fn observations_of_a_fork_are_sent_in_parts() {
+        let parts = |count: u64| -> Vec<Vec<u64>> {
+            let envelope = envelope(1, count, &[]);
+            let producer = ("robot".to_owned(), "arm".to_owned());
+            let observations = (1..=count)
+                .map(|sequence| v1::ForkedObservation { sequence, ..v1::ForkedObservation::default() })
+                .collect();
+            let parts = forked_parts_to_wire(producer, &envelope, observations, 2);
+            parts
+                .map(|part| {
+                    assert_eq!((part.producer.as_str(), part.label.as_str(), part.incarnation), ("robot", "arm", 1));
+                    part.observations.iter().map(|row| row.sequence).collect()
+                })
+                .collect()
+        };
+        assert!(parts(0).is_empty());
+        assert_eq!(parts(2), [vec![1, 2]]);
+        assert_eq!(parts(5), [vec![1, 2], vec![3, 4], vec![5]]);
     }
 }

@@ -4,6 +4,7 @@
 
 use tidemap_map::{
     landmark::{Descriptor, DescriptorError, ImageFeature, Landmark, LandmarkEdit, LandmarkKind},
+    landmark_forecast::PredictedLandmark,
     name::{PlaceName, StateName},
     sighting::PartOfEdge,
 };
@@ -229,12 +230,56 @@ pub fn localise_from_wire(request: &v1::LocaliseRequest) -> Result<LocaliseQuest
     })
 }
 
+/// A number of landmarks for the wire.
+#[must_use]
+pub fn landmark_number_to_wire(landmarks: usize) -> u32 {
+    u32::try_from(landmarks).unwrap_or(u32::MAX)
+}
+
+/// A landmark with the share of sightings in which it was seen, for the wire.
+#[must_use]
+pub fn known_landmark_to_wire(known: &PredictedLandmark<'_>) -> v1::KnownLandmark {
+    v1::KnownLandmark {
+        landmark: Some(landmark_to_wire(known.landmark)),
+        seen_share: known.mean,
+        sightings: known.sightings,
+    }
+}
+
+/// A landmark with the probability that it is visible, for the wire.
+#[must_use]
+pub fn predicted_landmark_to_wire(known: &PredictedLandmark<'_>) -> v1::PredictedLandmark {
+    v1::PredictedLandmark {
+        landmark: Some(landmark_to_wire(known.landmark)),
+        probability: known.probability,
+        sightings: known.sightings,
+    }
+}
+
+/// A place with the number of its landmarks, for the wire.
+#[must_use]
+pub fn landmark_count_to_wire(place: &PlaceName, landmarks: usize) -> v1::LandmarkCount {
+    v1::LandmarkCount {
+        place: Some(place_to_wire(place, PartOfEdge::WHOLE)),
+        landmarks: landmark_number_to_wire(landmarks),
+    }
+}
+
+/// The landmarks that are removed at a place, for the wire.
+#[must_use]
+pub fn removed_landmarks_to_wire(place: &PlaceName, names: &[StateName]) -> v1::RemovedLandmarks {
+    v1::RemovedLandmarks {
+        place: Some(place_to_wire(place, PartOfEdge::WHOLE)),
+        names: names.iter().map(|name| name.as_str().to_owned()).collect(),
+    }
+}
+
 /// How well an image agrees with a node, for the wire. `landmarks`: the number of landmarks that were compared.
 #[must_use]
 pub fn node_match_to_wire(node: String, landmarks: usize, found: &NodeMatch) -> v1::NodeMatch {
     v1::NodeMatch {
         node,
-        landmarks: u32::try_from(landmarks).unwrap_or(u32::MAX),
+        landmarks: landmark_number_to_wire(landmarks),
         matches: found.matches,
         votes: found.votes,
         heading_px: found.heading_px,

@@ -1,4 +1,4 @@
-//! Maps, their periodicities, their states and refusals.
+//! Maps, their periodicities, their states, their producers and refusals.
 
 use prost_types::Duration;
 use tidemap_grid::spec::Retention;
@@ -6,6 +6,7 @@ use tidemap_map::{
     event::StateKind,
     ids::{RefusalReason, StateId},
     name::MapName,
+    snapshot::ProducerMark,
     spec::MapSpec,
     view::MapView,
 };
@@ -222,6 +223,19 @@ both_ways!(
 #[must_use]
 pub fn refused_to_wire(sequence: u64, reason: RefusalReason, detail: String) -> v1::Refusal {
     v1::Refusal { sequence, reason: refusal_to_wire(reason).into(), detail }
+}
+
+/// A producer of a map for the wire. `is_connected`: whether a stream of the producer is open.
+#[must_use]
+pub fn producer_to_wire(mark: &ProducerMark, is_connected: bool) -> v1::ProducerInfo {
+    v1::ProducerInfo {
+        producer: mark.key.producer().to_owned(),
+        label: mark.key.label().to_owned(),
+        durable_sequence: mark.durable_sequence,
+        is_connected,
+        received_time: Some(timestamp(mark.received_nanos)),
+        is_forgotten: mark.is_forgotten,
+    }
 }
 
 both_ways!(

@@ -17,12 +17,23 @@ use crate::v1;
 
 mod evaluation;
 mod flow;
+mod past;
 mod positions;
 mod states;
 
-pub use evaluation::{EvaluationQuestion, evaluated_from_wire, evaluation_from_wire, header_of, unpack_evaluated};
-pub use flow::{AvoidedPeople, FlowQuestion, FlowSource, avoided_from_wire, flow_from_wire, flow_source_to_wire};
-pub use positions::{PlacesQuestion, PositionRegion, PositionsQuestion, places_from_wire, positions_from_wire};
+pub use evaluation::{
+    EvaluatedModel, EvaluationQuestion, evaluated_from_wire, evaluated_model_to_wire, evaluation_from_wire, header_of,
+    unavailable_model_to_wire, unpack_evaluated,
+};
+pub use flow::{
+    AvoidedPeople, FlowQuestion, FlowSource, avoided_from_wire, flow_cells_to_wire, flow_from_wire,
+    flow_header_to_wire, flow_source_to_wire,
+};
+pub use past::past_to_wire;
+pub use positions::{
+    ExpectedPositions, PlacesForecast, PlacesQuestion, PositionRaster, PositionRegion, PositionsQuestion,
+    places_from_wire, places_to_wire, position_cells_to_wire, positions_from_wire, positions_header_to_wire,
+};
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};
 
 /// The probability of intervals; `None` for 0: no intervals are requested.

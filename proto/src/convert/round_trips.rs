@@ -5,10 +5,16 @@ use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
-use tidemap_map::ids::RefusalReason;
+use tidemap_map::{
+    edge_forecast::EdgeForecast,
+    ids::RefusalReason,
+    landmark::{Descriptor, ImageFeature, Landmark, LandmarkKind},
+    landmark_forecast::PredictedLandmark,
+    name::{EdgeName, PlaceName, StateName},
+};
 use tidemap_model::{
     InformationMeasure, ORDER_MAX, OrderCriterion, Periodicities,
-    models::HistogramCycle,
+    models::{HistogramCycle, Interval},
     selector::{Blend, ModelKind, ModelSelector},
     time::HALF_LIFE_MIN_NANOS,
 };
@@ -19,7 +25,9 @@ use tidemap_plan::{
     view::{Sensor, Viewpoint},
 };
 
-use super::{exploration::*, grid::*, map::*, model_kind::*, query::*, route::*, search::*, time::*};
+use super::{
+    exploration::*, grid::*, landmarks::*, map::*, model_kind::*, query::*, route::*, search::*, time::*, topology::*,
+};
 use crate::v1;
 
 fn kinds() -> impl Strategy<Value = ModelKind> {
@@ -134,6 +142,55 @@ proptest! {
         for budget in [Budget::Visits(visits), Budget::Ratio(ratio)] {
             prop_assert_eq!(budget_from_wire(Some(budget_to_wire(budget))), budget);
         }
+    }
+}
+
+fn name(text: &str) -> StateName {
+    StateName::new(text).expect("valid")
+}
+
+#[test]
+fn predictions_of_edges_come_back() {
+    let node = |name: &str, id| v1::TopologyNode { name: name.to_owned(), id, ..v1::TopologyNode::default() };
+    let ends = v1::EdgeEnds { from: "A".to_owned(), to: "B".to_owned(), ..v1::EdgeEnds::default() };
+    let edge = v1::TopologyEdge { ends: Some(ends), length_m: Some(2.0), id: 7, ..v1::TopologyEdge::default() };
+    let network = v1::GetTopologyResponse { nodes: vec![node("A", 1), node("B", 2)], edges: vec![edge] };
+    let topology = topology_from_wire(&network).expect("valid");
+    assert_eq!(topology_to_wire(&topology), network);
+    let forecast = EdgeForecast { success: 0.75, evidence: 8.0, duration_secs: 12.5 };
+    let success = Interval { lower: 0.5, upper: 0.875 };
+    let edges = topology.edges().map(|edge| prediction_to_wire((&topology, edge), forecast, success, 3)).collect();
+    let expected = EdgePrediction {
+        edge: EdgeName { from: name("A"), to: name("B"), action: None },
+        success: 0.75,
+        success_interval: [0.5, 0.875],
+        duration_secs: 12.5,
+        reports: 3,
+    };
+    assert_eq!(predictions_from_wire(v1::PredictEdgesResponse { edges }), Ok(vec![expected]));
+}
+
+#[test]
+fn landmarks_of_replies_come_back() {
+    let descriptor = Descriptor::new(&[0xA5; 32]).expect("valid");
+    let kind = LandmarkKind::Image(ImageFeature { u_px: 1.5, v_px: -2.5, descriptor });
+    let landmark = Landmark { name: name("window"), kind, covariance: None };
+    let known = PredictedLandmark { landmark: &landmark, probability: 0.25, mean: 0.5, sightings: 8, learned: 6 };
+    let back = |wire: Option<v1::Landmark>| landmark_from_wire("landmark", &wire.expect("a landmark"));
+    let at_time = predicted_landmark_to_wire(&known);
+    assert_eq!((at_time.probability, at_time.sightings), (0.25, 8));
+    assert_eq!(back(at_time.landmark).as_ref(), Ok(&landmark));
+    let by_share = known_landmark_to_wire(&known);
+    assert_eq!((by_share.seen_share, by_share.sightings), (0.5, 8));
+    assert_eq!(back(by_share.landmark).as_ref(), Ok(&landmark));
+    let edge = PlaceName::Edge(EdgeName { from: name("A"), to: name("B"), action: Some(name("door")) });
+    for place in [PlaceName::Node(name("A")), edge] {
+        let count = landmark_count_to_wire(&place, 5);
+        assert_eq!(count.landmarks, 5);
+        assert_eq!(whole_place_from_wire("place", count.place.as_ref()).as_ref(), Ok(&place));
+        let removed = removed_landmarks_to_wire(&place, &[name("window")]);
+        assert_eq!(removed.names, ["window"]);
+        assert_eq!(whole_place_from_wire("place", removed.place.as_ref()).as_ref(), Ok(&place));
     }
 }
 

@@ -4,9 +4,11 @@
 //! checks the rest.
 
 use tidemap_map::{
+    edge_forecast::EdgeForecast,
     name::EdgeName,
-    topology::{EdgeId, NodeId, Topology},
+    topology::{Edge, EdgeId, NodeId, Topology},
 };
+use tidemap_model::models::Interval;
 use tidemap_plan::{
     policy::{PolicyAction, PolicyObjective, PolicyOptions, PolicyTable},
     route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RoutePlan, RouteStep, When},
@@ -212,6 +214,24 @@ pub fn predictions_from_wire(reply: v1::PredictEdgesResponse) -> Result<Vec<Edge
         Ok(EdgePrediction { edge, success, success_interval: [success_lower, success_upper], duration_secs, reports })
     };
     reply.edges.into_iter().enumerate().map(prediction).collect()
+}
+
+/// The forecast of an edge for the wire, with the interval of its success and the number of its reports.
+#[must_use]
+pub fn prediction_to_wire(
+    (topology, edge): (&Topology, &Edge),
+    forecast: EdgeForecast,
+    success: Interval,
+    reports: u64,
+) -> v1::PredictedEdge {
+    v1::PredictedEdge {
+        edge: Some(edge_to_wire(topology, edge)),
+        success: forecast.success,
+        success_lower: success.lower,
+        success_upper: success.upper,
+        duration_secs: forecast.duration_secs,
+        reports,
+    }
 }
 
 fn ends(topology: &Topology, edge: EdgeId) -> Option<v1::EdgeEnds> {

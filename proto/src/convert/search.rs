@@ -1,15 +1,15 @@
-//! Searches: the parameters of requests, and plans for replies.
+//! Searches and presence: the parameters of requests, and replies.
 //!
 //! Invariant: an error names the field; the planner checks the rest itself.
 
-use tidemap_map::topology::Topology;
+use tidemap_map::topology::{NodeId, Topology};
 use tidemap_model::selector::ModelSelector;
 use tidemap_plan::search::{Effort, SearchOptions, SearchPlan, Stop, StopReason};
 
 use super::{
     InvalidField,
     query::selector_from_wire,
-    time::{instant_from_wire, nanos_from_duration, times_from_wire},
+    time::{instant_from_wire, nanos_from_duration, times_from_wire, timestamp},
     topology::node_name,
 };
 use crate::v1;
@@ -217,6 +217,59 @@ pub fn plan_to_wire(plan: &SearchPlan, topology: &Topology) -> v1::PlanSearchRes
     }
 }
 
+/// The presence of a target at one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodePresence {
+    /// The time, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// Probability of presence at each node.
+    pub probabilities: Vec<f64>,
+    /// Share of each node in the sum of the probabilities; empty if the sum is 0.
+    pub shares: Vec<f64>,
+    /// Probability of presence at any node.
+    pub anybody: f64,
+}
+
+/// The presence of a target at these nodes for the wire; the caller adds the nodes that were never observed.
+#[must_use]
+pub fn presence_to_wire(
+    topology: &Topology,
+    nodes: &[NodeId],
+    times: Vec<NodePresence>,
+) -> v1::PredictPresenceResponse {
+    let at = |NodePresence { time_nanos, probabilities, shares, anybody }| v1::PresenceAt {
+        time_nanos,
+        probabilities,
+        shares,
+        anybody,
+    };
+    v1::PredictPresenceResponse {
+        nodes: nodes.iter().map(|&node| node_name(topology, node)).collect(),
+        times: times.into_iter().map(at).collect(),
+        ..v1::PredictPresenceResponse::default()
+    }
+}
+
+/// A time with the probability that several states are 1 at once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointAt {
+    /// The time, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// The joint probability.
+    pub probability: f64,
+}
+
+/// The first time that passes the threshold of a joint question, if there is one, and the best of the examined times,
+/// for the wire.
+#[must_use]
+pub fn joint_to_wire(passed: Option<JointAt>, best: JointAt) -> v1::NextJointResponse {
+    v1::NextJointResponse {
+        time: passed.map(|joint| timestamp(joint.time_nanos)),
+        probability: passed.unwrap_or(best).probability,
+        best_time: Some(timestamp(best.time_nanos)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,5 +299,15 @@ mod tests {
         for wrong in [-1.0, f64::NAN, f64::INFINITY] {
             assert!(speed_from_wire(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_joint_answer_has_the_probability_of_the_time_that_passed_or_else_of_the_best() {
+        let at = |time_nanos, probability| JointAt { time_nanos, probability };
+        let passed = joint_to_wire(Some(at(5, 0.75)), at(7, 0.875));
+        assert_eq!((passed.time, passed.probability), (Some(timestamp(5)), 0.75));
+        assert_eq!(passed.best_time, Some(timestamp(7)));
+        let best = joint_to_wire(None, at(7, 0.25));
+        assert_eq!((best.time, best.probability, best.best_time), (None, 0.25, Some(timestamp(7))));
     }
 }

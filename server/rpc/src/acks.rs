@@ -24,13 +24,14 @@ pub(super) fn acks(
             return None;
         }
         is_first = false;
-        let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(refusal).collect();
+        let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(refusal_to_wire).collect();
         left -= refused.len();
         Some(v1::Ack { durable_sequence: if left == 0 { durable } else { before }, refused, position })
     })
 }
 
-fn refusal(RefusedObservation { sequence, reason, detail }: RefusedObservation) -> v1::Refusal {
+/// A refused observation, for the wire.
+pub(super) fn refusal_to_wire(RefusedObservation { sequence, reason, detail }: RefusedObservation) -> v1::Refusal {
     refused_to_wire(sequence, reason, detail)
 }
 

@@ -22,13 +22,13 @@ use tidemap_proto::{
     convert::time::duration,
     v1::{self, cluster_service_server::ClusterService},
 };
-use tidemap_store::EventLog as _;
+use tidemap_store::{EventLog as _, Fork};
 use tokio::time::Instant;
 use tonic::{Request, Response, Status};
 
 use super::{
     RpcReply,
-    forks::{fork_to_wire, known_producers, read_fork},
+    forks::{content_of, fork_to_wire, known_producers, read_fork},
     guard::current_caller,
     lookup::{check_scope, find_map, find_published},
     permits::{Permits, run_blocking},
@@ -108,6 +108,22 @@ fn replica_to_wire(status: ReplicaStatus, now: Instant) -> v1::MapReplica {
     }
 }
 
+/// The replica of a map that cannot begin yet. `trouble`: the reason.
+fn waiting_to_wire(trouble: String) -> v1::MapReplica {
+    v1::MapReplica { role: v1::ReplicaRole::Starting.into(), trouble, ..v1::MapReplica::default() }
+}
+
+fn listed_to_wire(listed: ListedMap, replica: Option<v1::MapReplica>) -> v1::ClusterMapStatus {
+    v1::ClusterMapStatus {
+        map: listed.name,
+        uid: listed.uid.map(|uid| format!("{uid:016x}")).unwrap_or_default(),
+        pinned: listed.pinned.unwrap_or_default(),
+        candidates: listed.holders,
+        log: None,
+        replica,
+    }
+}
+
 impl ClusterCalls {
     fn cluster(&self) -> Result<&Cluster, RpcError> {
         self.catalog.context().cluster.as_ref().ok_or(RpcError::Operation(OperationError::NoCluster))
@@ -123,7 +139,11 @@ impl ClusterCalls {
             return Ok(Vec::new());
         }
         let (view, known) = (handle.view(), known_producers(handle).await);
-        let read = move || forks.into_iter().map(|fork| fork_to_wire(&store, id, fork, (&*view, &known))).collect();
+        let compared = move |fork: Fork| {
+            let content = content_of(&store, id, &fork, (&*view, &known))?;
+            Ok(fork_to_wire(fork, content))
+        };
+        let read = move || forks.into_iter().map(compared).collect();
         tidemap_base::task::blocking(read).await.map_err(|_| stopping())?
     }
 
@@ -139,18 +159,9 @@ impl ClusterCalls {
             }
         }
         if replica.is_none() {
-            let waits =
-                |trouble| v1::MapReplica { role: v1::ReplicaRole::Starting.into(), trouble, ..Default::default() };
-            replica = listed.uid.and_then(|uid| cluster.waiting(uid)).map(waits);
+            replica = listed.uid.and_then(|uid| cluster.waiting(uid)).map(waiting_to_wire);
         }
-        v1::ClusterMapStatus {
-            map: listed.name,
-            uid: listed.uid.map(|uid| format!("{uid:016x}")).unwrap_or_default(),
-            pinned: listed.pinned.unwrap_or_default(),
-            candidates: listed.holders,
-            log: None,
-            replica,
-        }
+        listed_to_wire(listed, replica)
     }
 
     /// The map of this name that this daemon holds, with its number in the cluster.

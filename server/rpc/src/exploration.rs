@@ -9,7 +9,7 @@ use tidemap_ingest::{catalog::Catalog, handle::MapHandle};
 use tidemap_map::site::SiteEdit;
 use tidemap_plan::{predicted::PredictOptions, view::ViewLimits};
 use tidemap_proto::{
-    convert::exploration::{VisitReport, reached_places_to_wire, visit_from_wire},
+    convert::exploration::{VisitReport, reachability_to_wire, reached_places_to_wire, visit_from_wire},
     v1::{self, exploration_service_server::ExplorationService},
 };
 use tonic::{Request, Response};
@@ -96,7 +96,7 @@ impl Explorations {
         let utc_nanos = utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
         edit_site(&handle, SiteEdit::Visit { at_m, reached, utc_nanos }).await?;
         let rate = handle.view().site().reachability().rate(at_m[0], at_m[1]);
-        Ok(v1::ReportVisitResponse { reachability: rate.rate, attempts: rate.attempts.into() })
+        Ok(reachability_to_wire(rate))
     }
 }
 

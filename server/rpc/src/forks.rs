@@ -24,7 +24,10 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_proto::{
-    convert::forks::{ForkedState, added_state_to_wire, forked_observations_to_wire, left_to_wire},
+    convert::forks::{
+        ForkedProducer, ForkedState, added_state_to_wire, forked_observations_to_wire, forked_parts_to_wire,
+        forked_producer_to_wire, left_to_wire,
+    },
     v1::{self, read_fork_response::Part},
 };
 use tidemap_store::{Fork, MapId, Store};
@@ -108,20 +111,52 @@ impl ForkNames {
     }
 }
 
-/// Encodes the content of a fork, compared with what the map has by now.
-pub(super) fn fork_to_wire(
+/// The content of a fork, compared with what the map has by now.
+#[derive(Debug, Default)]
+pub(super) struct ForkContent {
+    /// The observations of each producer, by its name and label.
+    producers: BTreeMap<(String, String), ForkedProducer>,
+    /// Number of other records that the map does not have.
+    other_records: u64,
+}
+
+impl ForkContent {
+    /// Whether the map has all of it.
+    fn is_known(&self) -> bool {
+        let is_known = |held: &ForkedProducer| held.known_observations == held.observations;
+        self.other_records == 0 && self.producers.values().all(is_known)
+    }
+}
+
+/// A fork with its content, for the wire.
+pub(super) fn fork_to_wire(fork: Fork, content: ForkContent) -> v1::LogFork {
+    let producer = |((producer, label), held)| forked_producer_to_wire(producer, label, held);
+    v1::LogFork {
+        name: fork.name,
+        first_position: fork.first,
+        last_position: fork.last,
+        groups: fork.groups as u64,
+        producers: content.producers.into_iter().map(producer).collect(),
+        other_records: content.other_records,
+    }
+}
+
+/// Reads the content of a fork, and compares it with what the map has by now.
+///
+/// # Errors
+/// The fork cannot be read.
+pub(super) fn content_of(
     store: &Store,
     map: MapId,
-    fork: Fork,
+    fork: &Fork,
     (view, known): (&MapView, &BTreeMap<ProducerId, KnownProducer>),
-) -> Result<v1::LogFork, OperationError> {
-    let mut producers: BTreeMap<(String, String), v1::ForkedProducer> = BTreeMap::new();
+) -> Result<ForkContent, OperationError> {
+    let mut content = ForkContent::default();
     let mut names = ForkNames::default();
-    let mut other_records = 0;
     for (_, event) in store.fork_events(map, &fork.name)? {
         let Some(envelope) = event.envelope() else {
             names.learn(&event);
-            other_records += u64::from(match &event {
+            content.other_records += u64::from(match &event {
                 Event::AddState(new) => view.shape(new.name.as_str()).is_none_or(|(_, shape)| shape != new.shape),
                 Event::EditSite(_) => true,
                 // The map has its own epochs and updates.
@@ -135,24 +170,17 @@ pub(super) fn fork_to_wire(
         let mark = known.values().find(same).map(|known| &known.mark);
         let span = envelope.span;
         let known_to = mark.map_or(0, |mark| known_to(mark, envelope.incarnation, span));
-        let row = producers.entry((producer.clone(), label.clone())).or_insert_with(|| v1::ForkedProducer {
-            producer,
-            label,
+        let row = content.producers.entry((producer, label)).or_insert_with(|| ForkedProducer {
             first_sequence: span.first,
-            ..v1::ForkedProducer::default()
+            last_sequence: span.last,
+            observations: 0,
+            known_observations: 0,
         });
         row.last_sequence = span.last;
         row.observations += (span.last + 1).saturating_sub(span.first);
         row.known_observations += (known_to + 1).saturating_sub(span.first);
     }
-    Ok(v1::LogFork {
-        name: fork.name,
-        first_position: fork.first,
-        last_position: fork.last,
-        groups: fork.groups as u64,
-        producers: producers.into_values().collect(),
-        other_records,
-    })
+    Ok(content)
 }
 
 /// Removes forks of a single group whose observations the map has completely. A daemon that is lost while a group is
@@ -172,13 +200,11 @@ pub async fn remove_known(store: &Arc<Store>, handle: &MapHandle) -> Result<Vec<
     let remove = move || {
         let mut removed = Vec::new();
         for fork in forks {
-            let name = fork.name.clone();
             // A fork that cannot be read stays for the operator.
-            let Ok(held) = fork_to_wire(&store, id, fork, (&view, &known)) else { continue };
-            let is_known = |row: &v1::ForkedProducer| row.known_observations == row.observations;
-            if held.other_records == 0 && held.producers.iter().all(is_known) {
-                store.remove_fork(id, &name)?;
-                removed.push(name);
+            let Ok(content) = content_of(&store, id, &fork, (&view, &known)) else { continue };
+            if content.is_known() {
+                store.remove_fork(id, &fork.name)?;
+                removed.push(fork.name);
             }
         }
         Ok(removed)
@@ -226,15 +252,9 @@ pub(super) fn read_fork(
             | Event::ForgetProducers(_) => Vec::new(),
         };
         if let Some(envelope) = event.envelope() {
-            let (producer, label) = names.producer(envelope.producer, known);
-            parts.extend(observations.chunks(OBSERVATIONS_AT_ONCE).map(|part| {
-                Part::Observations(v1::ForkedObservations {
-                    producer: producer.clone(),
-                    label: label.clone(),
-                    incarnation: envelope.incarnation,
-                    observations: part.to_vec(),
-                })
-            }));
+            let producer = names.producer(envelope.producer, known);
+            let observations = forked_parts_to_wire(producer, envelope, observations, OBSERVATIONS_AT_ONCE);
+            parts.extend(observations.map(Part::Observations));
         }
         if !parts.into_iter().all(|part| sink.send(v1::ReadForkResponse { part: Some(part) })) {
             return Ok(());

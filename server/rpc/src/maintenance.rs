@@ -12,7 +12,6 @@ use tidemap_base::{
     connections::{Peer, Remote},
     shares::{Share, Shares, client::Client},
 };
-use tidemap_grid::outcome::GridOutcome;
 use tidemap_ingest::{
     backups::{self, TargetError},
     catalog::{Catalog, CatalogError, erasure::states_of},
@@ -20,15 +19,14 @@ use tidemap_ingest::{
     protocol::{Command, ForgetError, ForgetProducers, KnownProducer},
     statistics,
 };
-use tidemap_map::{erasure::RequestedPart, event::UpdateCause, update::StateOutcome};
-use tidemap_model::selector::{ModelKind, ModelSelector};
+use tidemap_map::{erasure::RequestedPart, event::UpdateCause};
 use tidemap_proto::{
     convert::{
         erasure::erasure_from_wire,
-        map::update_to_wire,
+        map::{self, update_to_wire},
         page::page_from_wire,
-        query::selector_to_wire,
         time::{duration, nanos_from_timestamp, timestamp},
+        updates::{cells_update_to_wire, state_update_to_wire},
     },
     v1::{self, maintenance_service_server::MaintenanceService},
 };
@@ -109,53 +107,24 @@ fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>)
     })
 }
 
-/// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own order.
-fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
-    // In a tie the lower order is taken.
-    let most_frequent_order = |cells_by_order: &[u64]| {
-        let orders = cells_by_order.iter().enumerate().rev();
-        let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
-        u32::try_from(order).unwrap_or(u32::MAX)
-    };
-    let cells = &grid.cells;
-    let scored = (cells.scored > 0).then_some(cells.scored as f64);
-    v1::StateUpdate {
-        state: "cell/*".to_owned(),
-        order_before: most_frequent_order(&grid.cells_by_order_before),
-        order: most_frequent_order(&grid.cells_by_order),
-        mean_squared_error_before: scored.map(|scored| cells.squared_error_in_force / scored),
-        mean_squared_error: scored.map(|scored| cells.squared_error_chosen / scored),
-        observations: cells.observations,
-        scored: cells.scored,
-        model: Some(selector_to_wire(
-            ModelSelector::default().answering_with(most_frequent_order(&grid.cells_by_order) as usize),
-        )),
-    }
+fn producer_to_wire(known: &KnownProducer) -> v1::ProducerInfo {
+    map::producer_to_wire(&known.mark, known.is_connected)
 }
 
-/// The sum of squared errors of the model that predicts a state from now on. Each error is that of the model on the day
-/// of the observation.
-fn squared_error(StateOutcome { outcome, chosen, .. }: &StateOutcome) -> f64 {
-    if chosen.kind == ModelKind::Spectral {
-        outcome.squared_errors[outcome.order]
-    } else {
-        outcome.squared_error_in_force
-    }
+fn backup_to_wire(report: BackupReport) -> v1::CreateBackupResponse {
+    let BackupReport { maps, copied_files, copied_bytes, kept_files } = report;
+    v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }
 }
 
-fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
-    let outcome = &entry.outcome;
-    let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
-    v1::StateUpdate {
-        state: entry.name.as_str().to_owned(),
-        order_before: u32::try_from(outcome.order_before).unwrap_or(u32::MAX),
-        order: u32::try_from(outcome.order).unwrap_or(u32::MAX),
-        mean_squared_error_before: scored.map(|scored| outcome.squared_errors[outcome.order_before] / scored),
-        mean_squared_error: scored.map(|scored| squared_error(entry) / scored),
-        observations: outcome.observations,
-        scored: outcome.scored,
-        model: Some(selector_to_wire(entry.chosen)),
-    }
+fn statistic_to_wire((name, value, unit): (&str, f64, &str)) -> v1::Statistic {
+    v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() }
+}
+
+/// The port of the page. The host is empty if it is the one that the client knows.
+fn page_to_wire(PageAddress { address, has_tls }: PageAddress) -> v1::PagePort {
+    let (ip, is_loopback) = (address.ip(), address.ip().is_loopback());
+    let host = if is_loopback || ip.is_unspecified() { String::new() } else { ip.to_string() };
+    v1::PagePort { port: address.port().into(), is_loopback, has_tls, host }
 }
 
 /// Whether a caller may see a job: jobs of the caller's maps, and jobs of the whole daemon if the caller has all maps.
@@ -264,7 +233,7 @@ impl MaintenanceService for Maintenance {
         let request = request.into_inner();
         let job = self.job(request.job_id)?;
         let report = job.report().ok_or(RpcError::NoReport(job.id))?;
-        let cells = report.cells.as_ref().filter(|cells| cells.changed_cells > 0).map(cells_to_wire);
+        let cells = report.cells.as_ref().filter(|cells| cells.changed_cells > 0).map(cells_update_to_wire);
         let rows = usize::from(cells.is_some()) + report.states.len();
         let page = page_from_wire(request.page_size, &request.page_token, 1000, 10_000).map_err(RpcError::from)?;
         let (range, next_page_token) = page.within(rows);
@@ -283,15 +252,7 @@ impl MaintenanceService for Maintenance {
         let known = known.await.map_err(|_| RpcError::Stopping)?;
         let page = page_from_wire(request.page_size, &request.page_token, 1000, 10_000).map_err(RpcError::from)?;
         let (range, next_page_token) = page.within(known.len());
-        let producer = |known: &KnownProducer| v1::ProducerInfo {
-            producer: known.mark.key.producer().to_owned(),
-            label: known.mark.key.label().to_owned(),
-            durable_sequence: known.mark.durable_sequence,
-            is_connected: known.is_connected,
-            received_time: Some(timestamp(known.mark.received_nanos)),
-            is_forgotten: known.mark.is_forgotten,
-        };
-        let producers = known[range].iter().map(producer).collect();
+        let producers = known[range].iter().map(producer_to_wire).collect();
         Ok(Response::new(v1::ListProducersResponse { producers, next_page_token }))
     }
 
@@ -321,8 +282,7 @@ impl MaintenanceService for Maintenance {
             Ok::<_, RpcError>(backups::make(&store, &target?)?)
         };
         let copied = tidemap_base::task::blocking(work).await.map_err(RpcError::from)?;
-        let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied?;
-        Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
+        Ok(Response::new(backup_to_wire(copied?)))
     }
 
     async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
@@ -362,17 +322,9 @@ impl MaintenanceService for Maintenance {
             Some(handle) => statistics::of_map(&catalog, &handle, worth),
             None => statistics::of_daemon(&catalog),
         });
-        let statistics = statistics
-            .await
-            .map_err(|_| RpcError::Stopping)?
-            .into_iter()
-            .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
-            .collect();
-        let PageAddress { address, has_tls } = self.page;
-        let (ip, is_loopback) = (address.ip(), address.ip().is_loopback());
-        let host = if is_loopback || ip.is_unspecified() { String::new() } else { ip.to_string() };
-        let page = v1::PagePort { port: address.port().into(), is_loopback, has_tls, host };
-        Ok(Response::new(v1::GetStatisticsResponse { statistics, page: Some(page) }))
+        let statistics = statistics.await.map_err(|_| RpcError::Stopping)?;
+        let statistics = statistics.into_iter().map(statistic_to_wire).collect();
+        Ok(Response::new(v1::GetStatisticsResponse { statistics, page: Some(page_to_wire(self.page)) }))
     }
 }
 

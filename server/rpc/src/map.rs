@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tidemap_answer::StateOrCell;
 use tidemap_base::shares::client::Client;
 use tidemap_ingest::{
-    catalog::{Catalog, CatalogError},
+    catalog::{Catalog, CatalogError, UnavailableMap},
     handle::MapHandle,
     protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
 };
@@ -45,6 +45,10 @@ pub(super) async fn edit_site(handle: &MapHandle, edit: SiteEdit) -> Result<(), 
     Ok(answer.unwrap_or(Err(EditSiteError::Closing))?)
 }
 
+fn unavailable_to_wire(map: &UnavailableMap) -> v1::UnavailableMap {
+    v1::UnavailableMap { name: map.name.clone(), reason: map.reason.clone() }
+}
+
 #[tonic::async_trait]
 impl MapService for Maps {
     async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> RpcReply<v1::CreateMapResponse> {
@@ -78,10 +82,7 @@ impl MapService for Maps {
             shown.push(map_to_wire(&handle.view()));
         }
         let unavailable = if next_page_token.is_empty() { self.catalog.unavailable() } else { Arc::default() };
-        let unavailable = unavailable
-            .iter()
-            .filter(|map| caller.covers(&map.name))
-            .map(|map| v1::UnavailableMap { name: map.name.clone(), reason: map.reason.clone() });
+        let unavailable = unavailable.iter().filter(|map| caller.covers(&map.name)).map(unavailable_to_wire);
         Ok(Response::new(v1::ListMapsResponse { maps: shown, next_page_token, unavailable: unavailable.collect() }))
     }
 
@@ -175,6 +176,7 @@ impl MapService for Maps {
         let locations = locations.map(|(name, location)| location_to_wire(&view, name, location)).collect();
         Ok(Response::new(v1::ListLocationsResponse { locations, next_page_token }))
     }
+
     async fn set_no_go(&self, request: Request<v1::SetNoGoRequest>) -> RpcReply<v1::SetNoGoResponse> {
         let v1::SetNoGoRequest { map, area } = request.into_inner();
         let handle = find_map(&self.catalog, &map).await?;

@@ -1,11 +1,13 @@
-//! Questions about information (of states, locations, regions and views), and reports of visits.
+//! Information of states, locations, regions and views: questions and replies; and reports of visits.
 //!
 //! Invariant: checks here need no map; the handler of the request checks whether the map has the named objects.
+
+use std::fmt::Display;
 
 use tidemap_grid::index::CellBox;
 use tidemap_map::{
     name::StateName,
-    reachability::{Attempts, ReachabilityCell},
+    reachability::{Attempts, ReachabilityCell, ReachabilityRate},
 };
 use tidemap_model::selector::ModelSelector;
 use tidemap_plan::{
@@ -79,6 +81,26 @@ pub fn information_from_wire(request: v1::GetInformationRequest) -> Result<Infor
     Ok(InformationQuestion { times_nanos, selector, certainty, targets })
 }
 
+/// The information of a target at the times of a question.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TargetInformation {
+    /// Name of the state, cell or location; `region` for a region.
+    pub target: String,
+    /// The entropy in bits, one per time.
+    pub entropy_bits: Vec<f64>,
+    /// The expected information of an observation in bits, one per time.
+    pub information_bits: Vec<f64>,
+    /// Number of states and cells that the target has.
+    pub states: u64,
+}
+
+/// The information of a target for the wire.
+#[must_use]
+pub fn information_to_wire(information: TargetInformation) -> v1::GetInformationResponse {
+    let TargetInformation { target, entropy_bits, information_bits, states } = information;
+    v1::GetInformationResponse { target, entropy_bits, information_bits, states }
+}
+
 /// The question of a request for views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewsQuestion {
@@ -115,6 +137,17 @@ pub fn views_from_wire(request: v1::EvaluateViewsRequest) -> Result<ViewsQuestio
     })
 }
 
+/// The expected information of the viewpoint with this number for the wire, in bits, one per time; NaN where the
+/// viewpoint has none. An error is the reason why the viewpoint is unusable.
+#[must_use]
+pub fn view_to_wire(number: usize, seen: Result<Vec<Option<f64>>, impl Display>) -> v1::EvaluateViewsResponse {
+    let (information_bits, reason) = match seen {
+        Ok(bits) => (bits.into_iter().map(|bits| bits.unwrap_or(f64::NAN)).collect(), String::new()),
+        Err(error) => (Vec::new(), error.to_string()),
+    };
+    v1::EvaluateViewsResponse { viewpoint: u32::try_from(number).unwrap_or(u32::MAX), information_bits, reason }
+}
+
 /// A report of where a robot was sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisitReport {
@@ -135,6 +168,12 @@ pub fn visit_from_wire(request: &v1::ReportVisitRequest) -> Result<VisitReport, 
     let at_m = point_from_wire("at", request.at.ok_or_else(missing)?)?;
     let utc_nanos = request.time.map(|time| nanos_from_timestamp("time", time)).transpose()?;
     Ok(VisitReport { at_m, reached: request.reached, utc_nanos })
+}
+
+/// The probability of reaching a place for the wire, with the number of attempts that count.
+#[must_use]
+pub fn reachability_to_wire(rate: ReachabilityRate) -> v1::ReportVisitResponse {
+    v1::ReportVisitResponse { reachability: rate.rate, attempts: rate.attempts.into() }
 }
 
 /// The places of a reply.
@@ -177,5 +216,14 @@ mod tests {
         let request = v1::EvaluateViewsRequest { times_nanos: vec![5], ..v1::EvaluateViewsRequest::default() };
         assert_eq!(views_from_wire(request).expect_err("wrong").field, "viewpoints");
         assert_eq!(visit_from_wire(&v1::ReportVisitRequest::default()).expect_err("wrong").field, "at");
+    }
+
+    #[test]
+    fn a_viewpoint_has_numbers_or_the_reason_why_it_has_none() {
+        let seen = view_to_wire(2, Ok::<_, String>(vec![Some(1.5), None]));
+        assert_eq!((seen.viewpoint, seen.reason.as_str(), seen.information_bits[0]), (2, "", 1.5));
+        assert!(seen.information_bits.len() == 2 && seen.information_bits[1].is_nan());
+        let unusable = view_to_wire(3, Err("it is in a wall"));
+        assert_eq!((unusable.reason.as_str(), unusable.information_bits.len()), ("it is in a wall", 0));
     }
 }

@@ -106,6 +106,28 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
     })
 }
 
+/// The location to explore in a slot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedSlot {
+    /// Name of the location.
+    pub location: String,
+    /// The expected information of an observation there, bits.
+    pub information_bits: f64,
+    /// The surprise of what was observed there, bits; 0 unless the location was chosen by it.
+    pub surprise_bits: f64,
+}
+
+/// The location to explore in a slot for the wire; `None`: the robot rests.
+#[must_use]
+pub fn planned_slot_to_wire(planned: Option<PlannedSlot>) -> v1::PlanSlotResponse {
+    let slot = |PlannedSlot { location, information_bits, surprise_bits }| v1::PlanSlotResponse {
+        location,
+        information_bits,
+        surprise_bits,
+    };
+    planned.map_or_else(v1::PlanSlotResponse::default, slot)
+}
+
 fn allowance_of(
     request: &v1::PlanSlotRequest,
     strategy: v1::SlotStrategy,

@@ -4,11 +4,11 @@
 //! of the stream's table.
 
 use tidemap_model::{
-    ORDER_MAX,
+    Evaluation, ORDER_MAX,
     selector::{ModelKind, ModelSelector},
 };
 
-use super::{order_from_wire, selector_from_wire};
+use super::{order_from_wire, selector_from_wire, selector_to_wire};
 use crate::{
     convert::{
         InvalidField,
@@ -88,6 +88,41 @@ pub fn unpack_evaluated(columns: PackedColumns, names: usize) -> Result<DecodedC
     }
 }
 
+/// The errors of a model at predicting the observations of a state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EvaluatedModel<'a> {
+    /// Name of the state.
+    pub state: String,
+    /// The model, with its order.
+    pub model: ModelSelector,
+    /// The errors.
+    pub errors: &'a Evaluation,
+    /// Whether the state is a probability: only then the reply has a rate of errors.
+    pub is_probability: bool,
+    /// Whether labels were observed: only then the reply has a loss.
+    pub has_labels: bool,
+}
+
+/// The errors of a model for the wire.
+#[must_use]
+pub fn evaluated_model_to_wire(evaluated: EvaluatedModel<'_>) -> v1::Evaluation {
+    let EvaluatedModel { state, model, errors, is_probability, has_labels } = evaluated;
+    v1::Evaluation {
+        state,
+        model: Some(selector_to_wire(model)),
+        observations: errors.observations,
+        mean_squared_error: errors.mse(),
+        error_rate: is_probability.then(|| errors.error_rate()),
+        log_loss_bits: has_labels.then(|| errors.log_loss_bits()),
+    }
+}
+
+/// A model that these states do not have, and the reason, for the wire.
+#[must_use]
+pub fn unavailable_model_to_wire(model: ModelSelector, reason: &str, states: Vec<String>) -> v1::UnavailableModel {
+    v1::UnavailableModel { model: Some(selector_to_wire(model)), reason: reason.to_owned(), states }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -131,5 +166,20 @@ mod tests {
         assert!(unpack(&[1, 2], &[0, 1]).is_ok());
         assert_eq!(unpack(&[1, 2], &[0, 2]).err().as_deref(), Some("observations.state_indices"));
         assert_eq!(unpack(&[1, -2], &[0, 1]).err().as_deref(), Some("observations.times"));
+    }
+
+    #[test]
+    fn only_probabilities_have_a_rate_of_errors_and_only_labels_a_loss() {
+        let errors = Evaluation { observations: 4, squared_error: 2.0, wrong: 1, log_loss_bits: 6.0 };
+        let row = |is_probability, has_labels| {
+            let (state, model) = ("door".to_owned(), ModelSelector::default());
+            let evaluated = EvaluatedModel { state, model, errors: &errors, is_probability, has_labels };
+            let wire = evaluated_model_to_wire(evaluated);
+            assert_eq!((wire.state.as_str(), wire.observations, wire.mean_squared_error), ("door", 4, 0.5));
+            (wire.error_rate, wire.log_loss_bits)
+        };
+        assert_eq!(row(false, false), (None, None));
+        assert_eq!(row(true, false), (Some(0.25), None));
+        assert_eq!(row(false, true), (None, Some(1.5)));
     }
 }

@@ -1,9 +1,9 @@
-//! Predictions of flows: questions, and people to avoid on a route.
+//! Predictions of flows: questions and replies, and people to avoid on a route.
 //!
 //! Invariant: numbers are finite and within range. The handler of the request checks from the map whether the states
 //! are positions and have directions.
 
-use tidemap_model::models::{FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS};
+use tidemap_model::models::{CellFlow, FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS, FlowModel};
 use tidemap_plan::encounters::NEAR_M;
 
 use super::positions::{PositionRegion, edge_from_wire, region_from_wire, window_from_wire};
@@ -105,6 +105,34 @@ pub fn flow_source_to_wire(source: FlowSource) -> v1::FlowSource {
     }
 }
 
+/// The raster of a flow for the wire, with what it was learned from. `generation`: that of the map.
+#[must_use]
+pub fn flow_header_to_wire(flow: &FlowModel, generation: u64) -> v1::FlowHeader {
+    let options = flow.options();
+    let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    v1::FlowHeader {
+        low_m: options.raster.low_m.to_vec(),
+        resolution_m: options.raster.edge_m,
+        counts: options.raster.counts.map(number).to_vec(),
+        directions: number(options.directions),
+        detections: flow.detections(),
+        rhythmic_cells: number(flow.orders().filter(|(_, order)| *order > 0).count()),
+        generation,
+    }
+}
+
+/// Cells of a flow for the wire, at the time with this index of the question. Their detections are those that are
+/// expected in a window of this length.
+#[must_use]
+pub fn flow_cells_to_wire(time_index: u32, cells: &[CellFlow], window_secs: f64) -> v1::FlowCells {
+    v1::FlowCells {
+        time_index,
+        indices: cells.iter().map(|found| u32::try_from(found.cell).unwrap_or(u32::MAX)).collect(),
+        expected_counts: cells.iter().map(|found| found.total_per_sec() * window_secs).collect(),
+        shares: cells.iter().flat_map(CellFlow::shares).collect(),
+    }
+}
+
 fn source_from_wire(field: &str, wire: Option<v1::FlowSource>) -> Result<FlowSource, InvalidField> {
     let missing = || InvalidField::new(field, "name the states with the positions of people and their directions");
     let v1::FlowSource { state, motion_state, region, resolution_m, directions } = wire.ok_or_else(missing)?;
@@ -191,5 +219,13 @@ mod tests {
         assert_eq!((found.encounter_cost_secs, found.near_m), (10.0, 1.0));
         let far = v1::PlanRouteRequest { near_m: 101.0, ..people };
         assert_eq!(avoid(&far).expect_err("wrong").field, "near_m");
+    }
+
+    #[test]
+    fn cells_of_a_flow_have_a_share_per_direction() {
+        let cell = |cell, per_sec: [f64; 2]| CellFlow { cell, per_sec: per_sec.to_vec() };
+        let wire = flow_cells_to_wire(3, &[cell(5, [0.25, 0.75]), cell(8, [1.0, 1.0])], 10.0);
+        assert_eq!((wire.time_index, wire.indices.as_slice()), (3, &[5, 8][..]));
+        assert_eq!((wire.expected_counts, wire.shares), (vec![10.0, 20.0], vec![0.25, 0.75, 0.5, 0.5]));
     }
 }

@@ -1,7 +1,7 @@
-//! Predictions of positions, and of states by place: questions.
+//! Predictions of positions, and of states by place: questions and replies.
 //!
-//! Invariant: numbers are finite and within range. The handler of the request checks from the map how many coordinates
-//! a place has.
+//! Invariant: numbers of a question are finite and within range. The handler of the request checks from the map how
+//! many coordinates a place has.
 
 use tidemap_model::{VALUE_MAX, selector::ModelKind};
 
@@ -9,7 +9,7 @@ use super::{interval_level_from_wire, selector_from_wire};
 use crate::{
     convert::{
         InvalidField,
-        time::{nanos_from_duration, times_from_wire},
+        time::{nanos_from_duration, times_from_wire, timestamp},
     },
     v1,
 };
@@ -64,6 +64,73 @@ pub fn positions_from_wire(request: v1::PredictPositionsRequest) -> Result<Posit
     })
 }
 
+/// The cells of all times of a reply, and what they were learned from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PositionRaster {
+    /// The lower corner of the cells, metres.
+    pub low_m: Vec<f64>,
+    /// Edge of a cell, metres.
+    pub edge_m: f64,
+    /// Number of cells along each axis.
+    pub counts: Vec<usize>,
+    /// Number of observations of the vector.
+    pub observations: u64,
+    /// Number of observations that the model was trained on.
+    pub trained_observations: u64,
+    /// Time of the last observation, nanoseconds UTC.
+    pub last_nanos: Option<i64>,
+    /// Generation of the map.
+    pub generation: u64,
+}
+
+/// The header of a reply for the wire.
+#[must_use]
+pub fn positions_header_to_wire(header: PositionRaster) -> v1::PositionsHeader {
+    v1::PositionsHeader {
+        low_m: header.low_m,
+        resolution_m: header.edge_m,
+        counts: header.counts.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+        observations: header.observations,
+        trained_observations: header.trained_observations,
+        last_time: header.last_nanos.map(timestamp),
+        generation: header.generation,
+    }
+}
+
+/// The expected positions at a time, or in the window that begins then.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExpectedPositions {
+    /// Cells by their index, with their probabilities.
+    pub cells: Vec<(u32, f64)>,
+    /// The mean position, metres.
+    pub mean_m: Vec<f64>,
+    /// Probability of everything outside the cells of the reply.
+    pub outside: f64,
+    /// Number of positions in the window; 0 without one.
+    pub count: f64,
+}
+
+/// The expected positions at the time with this index of the question for the wire, at most `at_once` cells in each
+/// part. The first part has all that is not a cell; there is always a first part.
+pub fn position_cells_to_wire(
+    time_index: u32,
+    forecast: ExpectedPositions,
+    at_once: usize,
+) -> impl Iterator<Item = v1::PositionCells> {
+    let ExpectedPositions { cells, mean_m, outside, count } = forecast;
+    let mut head =
+        Some(v1::PositionCells { expected_m: mean_m, outside, expected_count: count, ..v1::PositionCells::default() });
+    let mut rest = cells.into_iter().peekable();
+    std::iter::from_fn(move || {
+        let head = match head.take() {
+            Some(head) => head,
+            None => rest.peek().map(|_| v1::PositionCells::default())?,
+        };
+        let (indices, probabilities) = rest.by_ref().take(at_once).unzip();
+        Some(v1::PositionCells { time_index, indices, probabilities, ..head })
+    })
+}
+
 /// The question for a state by place and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacesQuestion {
@@ -96,6 +163,42 @@ pub fn places_from_wire(request: v1::PredictAtPlacesRequest) -> Result<PlacesQue
     check_numbers("density_values", &density_values)?;
     let (interval_level, kind) = (interval_level_from_wire(level)?, model_from_wire(model)?);
     Ok(PlacesQuestion { state, position_state, times_nanos, places_m, density_values, interval_level, kind })
+}
+
+/// Predictions of a state by place and time. The columns are in the order of the places, and of the times of each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlacesForecast {
+    /// The expected values; of an angle, the directions in radians.
+    pub expected: Vec<f64>,
+    /// The standard deviations; of an angle, the circular deviations in radians.
+    pub deviations: Vec<f64>,
+    /// The lower ends of the intervals; empty if none were requested.
+    pub lower: Vec<f64>,
+    /// The upper ends of the intervals; empty if none were requested.
+    pub upper: Vec<f64>,
+    /// The densities of the requested values, for each place and time.
+    pub densities: Vec<f64>,
+    /// Number of observations of the state.
+    pub observations: u64,
+    /// Number of observations that the model was trained on.
+    pub trained_observations: u64,
+    /// Generation of the map.
+    pub generation: u64,
+}
+
+/// Predictions by place and time, for the wire.
+#[must_use]
+pub fn places_to_wire(forecast: PlacesForecast) -> v1::PredictAtPlacesResponse {
+    v1::PredictAtPlacesResponse {
+        expected: forecast.expected,
+        deviations: forecast.deviations,
+        lower: forecast.lower,
+        upper: forecast.upper,
+        densities: forecast.densities,
+        observations: forecast.observations,
+        trained_observations: forecast.trained_observations,
+        generation: forecast.generation,
+    }
 }
 
 /// A model of positions.
@@ -217,5 +320,31 @@ mod tests {
         let density_values = vec![f64::NAN];
         assert_eq!(field(v1::PredictAtPlacesRequest { density_values, ..request() }), "density_values[0]");
         assert_eq!(field(v1::PredictAtPlacesRequest { interval_level: 1.0, ..request() }), "interval_level");
+    }
+
+    #[test]
+    fn only_the_first_part_of_a_forecast_has_more_than_cells() {
+        let parts = |count: u32| -> Vec<v1::PositionCells> {
+            let cells = (0..count).map(|cell| (cell, 0.125)).collect();
+            let forecast = ExpectedPositions { cells, mean_m: vec![1.0, 2.0], outside: 0.5, count: 3.0 };
+            position_cells_to_wire(4, forecast, 2).collect()
+        };
+        let head = |indices: Vec<u32>| v1::PositionCells {
+            time_index: 4,
+            probabilities: vec![0.125; indices.len()],
+            indices,
+            expected_m: vec![1.0, 2.0],
+            outside: 0.5,
+            expected_count: 3.0,
+        };
+        assert_eq!(parts(0), [head(Vec::new())], "everything lies outside");
+        assert_eq!(parts(2), [head(vec![0, 1])]);
+        let rest = v1::PositionCells {
+            time_index: 4,
+            indices: vec![2],
+            probabilities: vec![0.125],
+            ..v1::PositionCells::default()
+        };
+        assert_eq!(parts(3), [head(vec![0, 1]), rest]);
     }
 }

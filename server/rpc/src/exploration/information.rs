@@ -15,7 +15,9 @@ use tidemap_plan::{
     predicted::{PredictError, PredictOptions, PredictedTimes},
 };
 use tidemap_proto::{
-    convert::exploration::{InformationQuestion, InformationTargets, information_from_wire},
+    convert::exploration::{
+        InformationQuestion, InformationTargets, TargetInformation, information_from_wire, information_to_wire,
+    },
     v1,
 };
 
@@ -39,19 +41,19 @@ struct Target {
     are_labels: bool,
 }
 
-fn reply(
+fn of_target(
     Target { name: target, are_labels, .. }: &Target,
     rows: &[Vec<f64>],
     times: usize,
     certainty: Certainty,
-) -> v1::GetInformationResponse {
+) -> TargetInformation {
     if *are_labels {
         let shares = |time: usize| {
             let mut shares: Vec<f64> = rows.iter().map(|row| row[time]).collect();
             normalise(&mut shares);
             shares
         };
-        return v1::GetInformationResponse {
+        return TargetInformation {
             target: target.clone(),
             entropy_bits: (0..times).map(|time| entropy_of_labels_bits(&shares(time))).collect(),
             information_bits: (0..times).map(|time| certainty.bits_of_labels(&shares(time))).collect(),
@@ -59,7 +61,7 @@ fn reply(
         };
     }
     let at = |time: usize| rows.iter().map(move |row| row[time]);
-    v1::GetInformationResponse {
+    TargetInformation {
         target: target.clone(),
         entropy_bits: (0..times).map(|time| entropy_of(at(time))).collect(),
         information_bits: (0..times).map(|time| certainty.bits_of(at(time))).collect(),
@@ -74,20 +76,20 @@ fn of_region(
     options: &PredictOptions,
     (certainty, max_predictions): (Certainty, u64),
     stop: StopSignal<'_>,
-) -> Result<v1::GetInformationResponse, RpcError> {
+) -> Result<TargetInformation, RpcError> {
     let grid = PredictedTimes::new(view, times_nanos, options, stop).map_err(PlanError::from)?;
     let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
     check_limit("cells x times", cells * times_nanos.len() as u64, max_predictions, "setting max_predictions")?;
-    let mut reply = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
+    let mut found = TargetInformation { target: "region".to_owned(), ..TargetInformation::default() };
     for time in 0..grid.times() {
         stop.check()?;
         let Some(grid) = grid.at(time) else { break };
         let known = || grid.known().map(f64::from);
-        reply.states = known().count() as u64;
-        reply.entropy_bits.push(entropy_of(known()));
-        reply.information_bits.push(certainty.bits_of(known()));
+        found.states = known().count() as u64;
+        found.entropy_bits.push(entropy_of(known()));
+        found.information_bits.push(certainty.bits_of(known()));
     }
-    Ok(reply)
+    Ok(found)
 }
 
 pub(super) async fn get_information(
@@ -115,7 +117,7 @@ pub(super) async fn get_information(
                         () = sink.closed() => return Ok(()),
                         rows = predict_series(shared.predict_context(), &handle, &view, wanted, selector) => rows?,
                     };
-                    let answer = reply(&target, &rows, times_nanos.len(), certainty);
+                    let answer = information_to_wire(of_target(&target, &rows, times_nanos.len(), certainty));
                     let to = sink.clone();
                     if !run_blocking((), move || to.send(answer)).await? {
                         break;
@@ -142,7 +144,7 @@ async fn send_region(
     Ok(compute_replies(vec![permit], move |sink| {
         let is_left = || sink.is_closed();
         let stop = StopSignal::new(&is_left);
-        sink.send(of_region(&view, &times_nanos, &options, (certainty, max), stop)?);
+        sink.send(information_to_wire(of_region(&view, &times_nanos, &options, (certainty, max), stop)?));
         Ok(())
     }))
 }

@@ -14,7 +14,9 @@ use tidemap_plan::{
     strategy::{self, Gains, Strategy},
 };
 use tidemap_proto::{
-    convert::exploration::{LocationChoice, SlotAllowance, SlotQuestion, slot_question_from_wire},
+    convert::exploration::{
+        LocationChoice, PlannedSlot, SlotAllowance, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
+    },
     v1,
 };
 
@@ -52,11 +54,12 @@ pub(super) async fn plan_slot(
         LocationChoice::Information | LocationChoice::Error => match best_now(&question, &forecast, visits.as_ref()) {
             Some(place) => (place, 0.0),
             // The robot rests.
-            None => return Ok(v1::PlanSlotResponse::default()),
+            None => return Ok(planned_slot_to_wire(None)),
         },
     };
     let location = locations.names.get(place).cloned().unwrap_or_default();
-    Ok(v1::PlanSlotResponse { location, information_bits: gains.at(0, place), surprise_bits })
+    let planned = PlannedSlot { location, information_bits: gains.at(0, place), surprise_bits };
+    Ok(planned_slot_to_wire(Some(planned)))
 }
 
 /// The place of the planned location, if the choice needs one.

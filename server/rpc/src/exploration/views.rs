@@ -10,7 +10,7 @@ use tidemap_plan::{
     view::{TimedScene, view_many},
 };
 use tidemap_proto::{
-    convert::exploration::{ViewsQuestion, views_from_wire},
+    convert::exploration::{ViewsQuestion, view_to_wire, views_from_wire},
     v1,
 };
 
@@ -39,14 +39,7 @@ pub(super) async fn evaluate_views(
         let grid = PredictedTimes::new(&view, &times_nanos, &options, stop).map_err(PlanError::from)?;
         let scene = TimedScene::new(&grid, &scene, stop).map_err(PlanError::from)?;
         let send = |number: usize, seen: Result<Vec<Option<f64>>, _>| {
-            let mut reply = v1::EvaluateViewsResponse {
-                viewpoint: u32::try_from(number).unwrap_or(u32::MAX),
-                ..Default::default()
-            };
-            match seen {
-                Ok(bits) => reply.information_bits = bits.into_iter().map(|bits| bits.unwrap_or(f64::NAN)).collect(),
-                Err(error) => reply.reason = ToString::to_string(&error),
-            }
+            let reply = view_to_wire(number, seen);
             if sink.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         view_many(&scene, &sensor, &viewpoints, limits, stop, send).map_err(PlanError::from)?;

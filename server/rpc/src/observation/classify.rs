@@ -20,7 +20,7 @@ use tidemap_map::{label_places::name_at_place, name::StateName, view::MapView};
 use tidemap_model::label_evidence::{LabelEvidence, normalise};
 use tidemap_proto::{
     convert::{
-        classify::{ClassifyQuestion, Learning, classify_from_wire},
+        classify::{ClassifyQuestion, LabelPosterior, Learning, classification_to_wire, classify_from_wire},
         observe::{StreamMessage, StreamStart, learned_readings, start_of_classification},
         vectors::DeclaredState,
     },
@@ -57,21 +57,22 @@ impl Observations {
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
         let (view, requested) = (handle.view(), question.clone());
-        let answered = run_blocking(self.permits.take().await?, move || answer(&view, &requested, utc_nanos));
-        let mut reply = answered.await??;
-        let Some(start) = start else { return Ok(reply) };
+        let classified = run_blocking(self.permits.take().await?, move || classified(&view, &requested, utc_nanos));
+        let labels = classified.await??;
+        let Some(start) = start else { return Ok(classification_to_wire(labels)) };
         let states = self.learned_states(&handle, &question).await?;
-        let shares: Vec<(String, f64)> =
-            reply.labels.iter().map(|known| (known.label.clone(), known.probability)).collect();
+        let shares: Vec<(String, f64)> = labels.iter().map(|known| (known.label.clone(), known.probability)).collect();
         let count = states.len() as u64;
         let learned = learned_readings(&states, utc_nanos, question.learning, &shares);
         let sent_as =
             SentAs { map: request.map, start, first_sequence: request.first_sequence, may_differ: Some(count) };
         let items = |first| Ok(StreamMessage::Observations(learned.numbered(first)?));
         let taken = self.take_items(sent_as, items).await?;
-        reply.durable_sequence = taken.durable_sequence;
-        reply.refused = taken.refused_to_wire();
-        Ok(reply)
+        Ok(v1::ClassifyActivityResponse {
+            durable_sequence: taken.durable_sequence,
+            refused: taken.refused_to_wire(),
+            ..classification_to_wire(labels)
+        })
     }
 
     /// The states that learn. The state at the place is added if it does not exist.
@@ -110,11 +111,11 @@ fn may_learn(caller: &Caller, start: &StreamStart) -> Result<(), RpcError> {
 }
 
 /// The likelihood and the priors of each label, from a view.
-fn answer(
+fn classified(
     view: &Arc<MapView>,
     question: &ClassifyQuestion,
     utc_nanos: i64,
-) -> Result<v1::ClassifyActivityResponse, RpcError> {
+) -> Result<Vec<LabelPosterior>, RpcError> {
     let name = question.state.as_str();
     let labels = view.labels(name);
     if labels.is_empty() {
@@ -142,15 +143,12 @@ fn answer(
     let spatial = question.place.as_ref().and_then(|place| view.label_prior_at(&question.state, place.as_str()));
     let evidence = LabelEvidence { likelihoods: &likelihoods, temporal: &temporal, spatial: spatial.as_deref() };
     let posterior = evidence.posterior().map_err(|error| Problem::Evidence(error).of("likelihoods"))?;
-    let known = |at: usize| v1::ClassifiedLabel {
+    let known = |at: usize| LabelPosterior {
         label: labels[at].1.to_owned(),
         probability: posterior[at],
         likelihood: likelihoods[at],
         temporal_prior: temporal[at],
         spatial_prior: spatial.as_ref().map(|spatial| spatial[at]),
     };
-    Ok(v1::ClassifyActivityResponse {
-        labels: (0..labels.len()).map(known).collect(),
-        ..v1::ClassifyActivityResponse::default()
-    })
+    Ok((0..labels.len()).map(known).collect())
 }

@@ -11,7 +11,6 @@ use tidemap_proto::{
     bounds::READINGS,
     convert::{
         InvalidField, OverLimit,
-        map::refused_to_wire,
         observe::{StreamMessage, StreamStart, readings_from_wire, start_of_request},
     },
     v1,
@@ -25,7 +24,7 @@ use super::{
     opening::{open_session, take_seat},
     session::OpenSession,
 };
-use crate::{guard::current_caller, lookup::find_map, status::RpcError};
+use crate::{acks::refusal_to_wire, guard::current_caller, lookup::find_map, status::RpcError};
 
 /// Maximum time that a request waits for the stream of its key to end.
 const KEY_WITHIN: Duration = Duration::from_secs(2);
@@ -57,8 +56,7 @@ pub(crate) struct TakenItems {
 impl TakenItems {
     /// The refused items, for the wire.
     pub(crate) fn refused_to_wire(self) -> Vec<v1::Refusal> {
-        let refusal = |RefusedObservation { sequence, reason, detail }| refused_to_wire(sequence, reason, detail);
-        self.refused.into_iter().map(refusal).collect()
+        self.refused.into_iter().map(refusal_to_wire).collect()
     }
 }
 

@@ -41,7 +41,7 @@ impl<'a> Stream<'a> {
         Self { session, replies, probed }
     }
 
-    fn welcome(&self) -> v1::Welcome {
+    fn welcome_to_wire(&self) -> v1::Welcome {
         let OpenSession { service, opened, handle, .. } = &self.session;
         let limits = service.limits;
         let direct = service.peers.as_ref().and_then(|peers| peers.address_of(peers.name()));
@@ -66,7 +66,7 @@ impl<'a> Stream<'a> {
     /// # Errors
     /// The reason why the stream ends before.
     pub(super) async fn serve(&mut self, requests: &mut impl Requests) -> Result<(), RpcError> {
-        reply(self.replies, Down::Welcome(self.welcome())).await?;
+        reply(self.replies, Down::Welcome(self.welcome_to_wire())).await?;
         let mut saturated = self.session.handle.saturated();
         loop {
             let wait = *saturated.borrow_and_update();
@@ -116,25 +116,31 @@ impl<'a> Stream<'a> {
     pub(super) async fn end(&self, result: &Result<(), RpcError>) {
         self.session.end(result.as_ref().err());
         let Err(error) = result else { return };
-        let reason = match error {
-            // The status contains the reason. Clients connect again after it, as they do when a connection breaks.
-            RpcError::Revoked | RpcError::Idle(_) | RpcError::Crowded => return,
-            // Clients connect again, and to another daemon if need be.
-            RpcError::Ended(
-                Ending::Shutdown | Ending::Erasure | Ending::Moved { .. } | Ending::Replaced | Ending::Forked { .. },
-            )
-            | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
-            RpcError::Ended(Ending::Superseded | Ending::Unanswered) => v1::GoodbyeReason::Superseded,
-            RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
-            RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,
-            RpcError::Ended(Ending::Storage(_)) => v1::GoodbyeReason::DiskFull,
-            RpcError::Intake(IntakeError::OutOfSequence { .. }) => v1::GoodbyeReason::OutOfSequence,
-            RpcError::Intake(IntakeError::DataMismatch { .. }) => v1::GoodbyeReason::DataMismatch,
-            _ => v1::GoodbyeReason::Invalid,
-        };
+        // Without a goodbye the status contains the reason.
+        let Some(reason) = goodbye_reason_to_wire(error) else { return };
         let durable_sequence = self.session.durable();
         let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence, detail: error.message() };
         // The status that follows has the same reason; the client may be gone.
         let _ = reply(self.replies, Down::Goodbye(goodbye)).await;
     }
+}
+
+/// The reason of a goodbye; `None`: the stream ends without one.
+fn goodbye_reason_to_wire(error: &RpcError) -> Option<v1::GoodbyeReason> {
+    Some(match error {
+        // Clients connect again after the status, as they do when a connection breaks.
+        RpcError::Revoked | RpcError::Idle(_) | RpcError::Crowded => return None,
+        // Clients connect again, and to another daemon if need be.
+        RpcError::Ended(
+            Ending::Shutdown | Ending::Erasure | Ending::Moved { .. } | Ending::Replaced | Ending::Forked { .. },
+        )
+        | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
+        RpcError::Ended(Ending::Superseded | Ending::Unanswered) => v1::GoodbyeReason::Superseded,
+        RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
+        RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,
+        RpcError::Ended(Ending::Storage(_)) => v1::GoodbyeReason::DiskFull,
+        RpcError::Intake(IntakeError::OutOfSequence { .. }) => v1::GoodbyeReason::OutOfSequence,
+        RpcError::Intake(IntakeError::DataMismatch { .. }) => v1::GoodbyeReason::DataMismatch,
+        _ => v1::GoodbyeReason::Invalid,
+    })
 }

@@ -14,7 +14,7 @@ use tidemap_map::{
 use tidemap_model::{StopSignal, selector::ModelSelector};
 use tidemap_proto::{
     convert::{
-        anomaly::{confidence_from_wire, judge_from_wire},
+        anomaly::{anomalies_to_wire, confidence_from_wire, judge_from_wire},
         time::interval_from_wire,
     },
     v1,
@@ -111,14 +111,9 @@ pub(super) async fn find_anomalies(
             check_limit("readings of the interval", readings.len() as u64, max, "setting max_predictions")?;
         }
         for readings in readings.chunks(READINGS_PER_REPLY) {
-            let mut reply = v1::FindAnomaliesResponse::default();
-            for Anomaly { utc_nanos, value, probability } in judge.unexpected(&view, readings, selector, confidence) {
-                reply.times_nanos.push(utc_nanos);
-                reply.values.push(value);
-                reply.probabilities.push(probability);
-            }
+            let found = judge.unexpected(&view, readings, selector, confidence);
             // An empty reply is sent too, because only sending shows whether the client is still there.
-            if !sink.send(reply) {
+            if !sink.send(anomalies_to_wire(found)) {
                 break;
             }
         }

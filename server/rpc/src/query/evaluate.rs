@@ -20,7 +20,10 @@ use tidemap_model::{LearnedRows, RowReadings, Sample, StopSignal};
 use tidemap_proto::{
     convert::{
         columns::DecodedColumns,
-        query::{evaluated_from_wire, evaluation_from_wire, header_of, selector_to_wire, unpack_evaluated},
+        query::{
+            EvaluatedModel, evaluated_from_wire, evaluated_model_to_wire, evaluation_from_wire, header_of,
+            unavailable_model_to_wire, unpack_evaluated,
+        },
     },
     v1,
 };
@@ -125,18 +128,17 @@ fn take_observations(
 
 /// The reply: a row per state and model, and the models that some states do not have.
 fn answer(evaluator: &Evaluator, view: &MapView) -> v1::EvaluateStatesResponse {
-    let evaluations = evaluator.rows().map(|(state, name, model, evaluation)| v1::Evaluation {
-        state: name.into_owned(),
-        model: Some(selector_to_wire(model)),
-        observations: evaluation.observations,
-        mean_squared_error: evaluation.mse(),
-        error_rate: (state.kind(view) == StateKind::Probability).then(|| evaluation.error_rate()),
-        log_loss_bits: evaluator.has_labels(&state).then(|| evaluation.log_loss_bits()),
+    let evaluations = evaluator.rows().map(|(state, name, model, errors)| {
+        evaluated_model_to_wire(EvaluatedModel {
+            state: name.into_owned(),
+            model,
+            errors,
+            is_probability: state.kind(view) == StateKind::Probability,
+            has_labels: evaluator.has_labels(&state),
+        })
     });
-    let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| v1::UnavailableModel {
-        model: Some(selector_to_wire(model)),
-        reason: reason.to_owned(),
-        states: states.into_iter().map(Cow::into_owned).collect(),
+    let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| {
+        unavailable_model_to_wire(model, reason, states.into_iter().map(Cow::into_owned).collect())
     });
     v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() }
 }

@@ -2,10 +2,9 @@
 //!
 //! Invariant: the shares of a cell sum to 1. The number of predictions is checked before they are computed.
 
-use tidemap_map::view::MapView;
 use tidemap_model::models::{FlowModel, Moment};
 use tidemap_proto::{
-    convert::query::flow_from_wire,
+    convert::query::{flow_cells_to_wire, flow_from_wire, flow_header_to_wire},
     v1::{self, predict_flow_response::Message},
 };
 
@@ -35,7 +34,8 @@ pub(super) async fn predict_flow(
     Ok(stream_replies(move |sink| async move {
         let sink = sink.holding(vec![permits.take().await?]);
         let predict = move || {
-            if sink.send(header(&view, &flow)) {
+            let header = Message::Header(flow_header_to_wire(&flow, view.generation()));
+            if sink.send(v1::PredictFlowResponse { message: Some(header) }) {
                 send_cells(&flow, &moments, window_secs, &sink);
             }
         };
@@ -43,33 +43,13 @@ pub(super) async fn predict_flow(
     }))
 }
 
-fn header(view: &MapView, flow: &FlowModel) -> v1::PredictFlowResponse {
-    let options = flow.options();
-    let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
-    let header = v1::FlowHeader {
-        low_m: options.raster.low_m.to_vec(),
-        resolution_m: options.raster.edge_m,
-        counts: options.raster.counts.map(number).to_vec(),
-        directions: number(options.directions),
-        detections: flow.detections(),
-        rhythmic_cells: number(flow.orders().filter(|(_, order)| *order > 0).count()),
-        generation: view.generation(),
-    };
-    v1::PredictFlowResponse { message: Some(Message::Header(header)) }
-}
-
 /// Computes and sends the cells of each time, until the client is gone.
 fn send_cells(flow: &FlowModel, moments: &[Moment], window_secs: f64, sink: &ReplySink<v1::PredictFlowResponse>) {
     let cells_per_reply = (SHARES_PER_REPLY / flow.options().directions).max(1);
     for (time_index, &moment) in (0..).zip(moments) {
         for piece in flow.at(moment).chunks(cells_per_reply) {
-            let cells = v1::FlowCells {
-                time_index,
-                indices: piece.iter().map(|found| u32::try_from(found.cell).unwrap_or(u32::MAX)).collect(),
-                expected_counts: piece.iter().map(|found| found.total_per_sec() * window_secs).collect(),
-                shares: piece.iter().flat_map(|found| found.shares()).collect(),
-            };
-            if !sink.send(v1::PredictFlowResponse { message: Some(Message::Cells(cells)) }) {
+            let cells = Message::Cells(flow_cells_to_wire(time_index, piece, window_secs));
+            if !sink.send(v1::PredictFlowResponse { message: Some(cells) }) {
                 return;
             }
         }

@@ -11,7 +11,7 @@ use tidemap_model::{
     ANGLE_AXES, StopSignal, circular_deviation_rad, direction_rad, models::Moment, special::normal_reach,
 };
 use tidemap_proto::{
-    convert::query::{PlacesQuestion, places_from_wire},
+    convert::query::{PlacesForecast, PlacesQuestion, places_from_wire, places_to_wire},
     v1,
 };
 
@@ -63,19 +63,19 @@ pub(super) async fn predict_at_places(
         models.push(queries.trainer.place_model(learned(part), axes(), first, question.kind).await?);
     }
     let permit = queries.permits.take().await?;
-    let reply = v1::PredictAtPlacesResponse {
+    let forecast = PlacesForecast {
         observations,
         trained_observations: models.first().map_or(0, |model| model.observations()),
         generation: view.generation(),
-        ..v1::PredictAtPlacesResponse::default()
+        ..PlacesForecast::default()
     };
     let moments = view.moments(&question.times_nanos);
     let predict = move |stop: StopSignal<'_>| match models.as_slice() {
-        [cosine, sine] => predict_angle([cosine, sine], &question, (coordinates, &moments), reply, stop),
-        [model, ..] => predict(model, &question, (coordinates, &moments), reply, stop),
-        [] => reply,
+        [cosine, sine] => predict_angle([cosine, sine], &question, (coordinates, &moments), forecast, stop),
+        [model, ..] => predict(model, &question, (coordinates, &moments), forecast, stop),
+        [] => forecast,
     };
-    run_while_awaited(permit, None, predict).await
+    Ok(places_to_wire(run_while_awaited(permit, None, predict).await?))
 }
 
 /// Does the same as [`predict`], for the angle of a cosine and a sine: direction, circular deviation, and an interval
@@ -84,9 +84,9 @@ fn predict_angle(
     models: [&PlaceModel; 2],
     question: &PlacesQuestion,
     (coordinates, moments): (usize, &[Moment]),
-    mut reply: v1::PredictAtPlacesResponse,
+    mut forecast: PlacesForecast,
     stop: StopSignal<'_>,
-) -> v1::PredictAtPlacesResponse {
+) -> PlacesForecast {
     for place_m in question.places_m.chunks_exact(coordinates) {
         if stop.is_set() {
             // Nobody reads the reply.
@@ -97,26 +97,26 @@ fn predict_angle(
             let Some((cos, sin)) = cos.zip(sin) else { continue };
             let [cos, sin] = [&cos, &sin].map(|at| at.mean().first().copied().unwrap_or(0.0));
             let (direction, deviation) = (direction_rad([cos, sin]), circular_deviation_rad([cos, sin]));
-            reply.expected.push(direction);
-            reply.deviations.push(deviation);
+            forecast.expected.push(direction);
+            forecast.deviations.push(deviation);
             if let Some(level) = question.interval_level {
                 let reach = (normal_reach(level) * deviation).min(std::f64::consts::PI);
-                reply.lower.push(direction - reach);
-                reply.upper.push(direction + reach);
+                forecast.lower.push(direction - reach);
+                forecast.upper.push(direction + reach);
             }
         }
     }
-    reply
+    forecast
 }
 
-/// Adds the predictions for the places, each with this number of coordinates, to a reply.
+/// Adds the predictions for the places, each with this number of coordinates, to a forecast.
 fn predict(
     model: &PlaceModel,
     question: &PlacesQuestion,
     (coordinates, moments): (usize, &[Moment]),
-    mut reply: v1::PredictAtPlacesResponse,
+    mut forecast: PlacesForecast,
     stop: StopSignal<'_>,
-) -> v1::PredictAtPlacesResponse {
+) -> PlacesForecast {
     for place_m in question.places_m.chunks_exact(coordinates) {
         if stop.is_set() {
             // Nobody reads the reply.
@@ -125,15 +125,15 @@ fn predict(
         for &moment in moments {
             // A place of finite numbers has a distribution.
             let Some(at) = model.at(place_m, moment) else { continue };
-            reply.expected.extend(at.mean());
-            reply.deviations.extend(at.variance().into_iter().map(f64::sqrt));
+            forecast.expected.extend(at.mean());
+            forecast.deviations.extend(at.variance().into_iter().map(f64::sqrt));
             if let Some((lower, upper)) = question.interval_level.and_then(|level| at.interval(level)) {
-                reply.lower.push(lower);
-                reply.upper.push(upper);
+                forecast.lower.push(lower);
+                forecast.upper.push(upper);
             }
             let density = |value: &f64| at.density(&[*value], &[0.0]).unwrap_or(0.0);
-            reply.densities.extend(question.density_values.iter().map(density));
+            forecast.densities.extend(question.density_values.iter().map(density));
         }
     }
-    reply
+    forecast
 }

@@ -13,9 +13,9 @@ use tidemap_map::{
 };
 use tidemap_model::models::Moment;
 use tidemap_proto::{
-    convert::{
-        query::{PositionRegion, PositionsQuestion, positions_from_wire},
-        time::timestamp,
+    convert::query::{
+        ExpectedPositions, PositionRaster, PositionRegion, PositionsQuestion, position_cells_to_wire,
+        positions_from_wire, positions_header_to_wire,
     },
     v1::{self, predict_positions_response::Message},
 };
@@ -182,16 +182,16 @@ fn middles(start: i64, window: i64) -> Vec<i64> {
 
 fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) -> v1::PredictPositionsResponse {
     let live = view.live(first);
-    let header = v1::PositionsHeader {
+    let header = PositionRaster {
         low_m: cells.low_m.clone(),
-        resolution_m: cells.edge_m,
-        counts: cells.counts.iter().map(|&count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
+        edge_m: cells.edge_m,
+        counts: cells.counts.clone(),
         observations: live.observations,
         trained_observations: model.positions(),
-        last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        last_nanos: live.persistence.last().map(|(nanos, _)| nanos),
         generation: view.generation(),
     };
-    v1::PredictPositionsResponse { message: Some(Message::Header(header)) }
+    v1::PredictPositionsResponse { message: Some(Message::Header(positions_header_to_wire(header))) }
 }
 
 /// The expected positions at a time, or in the window that begins then.
@@ -247,25 +247,11 @@ fn send_cells(
             (0..).zip(expected.probabilities).filter(|(_, probability)| *probability > 0.0).collect();
         found.sort_by(|(place, one), (other_place, other)| other.total_cmp(one).then(place.cmp(other_place)));
         found.truncate(top);
-        let mut piece_head = v1::PositionCells {
-            expected_m: expected.mean_m,
-            outside: (1.0 - inside).clamp(0.0, 1.0),
-            expected_count: expected.count,
-            ..v1::PositionCells::default()
-        };
-        // At least one piece, even if everything lies outside.
-        let mut rest = found.as_slice();
-        loop {
-            let (piece, others) = rest.split_at(rest.len().min(CELLS_PER_REPLY));
-            rest = others;
-            let (indices, probabilities) = piece.iter().copied().unzip();
-            let head = std::mem::take(&mut piece_head);
-            let cells = v1::PositionCells { time_index, indices, probabilities, ..head };
+        let (mean_m, count, outside) = (expected.mean_m, expected.count, (1.0 - inside).clamp(0.0, 1.0));
+        let forecast = ExpectedPositions { cells: found, mean_m, outside, count };
+        for cells in position_cells_to_wire(time_index, forecast, CELLS_PER_REPLY) {
             if !sink.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
                 return;
-            }
-            if rest.is_empty() {
-                break;
             }
         }
     }

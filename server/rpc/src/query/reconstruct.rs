@@ -13,7 +13,7 @@ use tidemap_map::{
 };
 use tidemap_model::StopSignal;
 use tidemap_proto::{
-    convert::{cells::cell_from_wire, time::interval_from_wire},
+    convert::{cells::cell_from_wire, query::past_to_wire, time::interval_from_wire},
     v1,
 };
 
@@ -41,8 +41,7 @@ pub(super) async fn reconstruct(
     Ok(compute_replies(permits, move |sink| {
         let is_left = || sink.is_closed();
         for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
-            let (times_nanos, values) = readings.iter().copied().unzip();
-            if !sink.send(v1::ReconstructResponse { times_nanos, values }) {
+            if !sink.send(past_to_wire(readings)) {
                 break;
             }
         }

@@ -37,7 +37,7 @@ use tidemap_map::{
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
-        anomaly::{WatchQuestion, watch_from_wire},
+        anomaly::{WatchQuestion, watch_from_wire, watched_to_wire},
         cells::cell_from_wire,
     },
     v1,
@@ -334,19 +334,11 @@ impl Watch {
 
     fn reply_of(&self, found: &[Found], missed_observations: u64) -> v1::WatchAnomaliesResponse {
         let view = self.handle.view();
-        let mut reply = v1::WatchAnomaliesResponse { missed_observations, ..Default::default() };
-        for &(subject, Anomaly { utc_nanos, value, probability }) in found {
-            reply.states.push(match subject {
-                AnomalySubject::State(id) => {
-                    view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned())
-                }
-                AnomalySubject::Cell(cell) => cell.name(),
-            });
-            reply.times_nanos.push(utc_nanos);
-            reply.values.push(value);
-            reply.probabilities.push(probability);
-        }
-        reply
+        let name = |subject| match subject {
+            AnomalySubject::State(id) => view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
+            AnomalySubject::Cell(cell) => cell.name(),
+        };
+        watched_to_wire(found.iter().map(|&(subject, anomaly)| (name(subject), anomaly)), missed_observations)
     }
 }
 

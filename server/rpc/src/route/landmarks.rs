@@ -20,8 +20,9 @@ use tidemap_proto::{
     convert::{
         OverLimit,
         landmarks::{
-            LandmarkRemoval, LocaliseQuestion, addition_from_wire, landmark_to_wire, localise_from_wire,
-            node_match_to_wire, place_from_wire, place_to_wire, removal_from_wire,
+            LandmarkRemoval, LocaliseQuestion, addition_from_wire, known_landmark_to_wire, landmark_count_to_wire,
+            landmark_number_to_wire, localise_from_wire, node_match_to_wire, place_from_wire,
+            predicted_landmark_to_wire, removal_from_wire, removed_landmarks_to_wire,
         },
         time::instant_from_wire,
     },
@@ -41,10 +42,6 @@ use crate::{
 const COMPARISONS_MAX: usize = 1 << 27;
 /// Maximum number of nodes to compare.
 const NODES_MAX: usize = 1_000;
-
-fn count(length: usize) -> u32 {
-    u32::try_from(length).unwrap_or(u32::MAX)
-}
 
 /// All landmarks of a part of a place at a time, in the order in which they were added.
 fn predicted<'a>(
@@ -173,8 +170,8 @@ impl LandmarkService for Routes {
         edit(&handle, add).await?;
         let view = handle.view();
         let at_place = view.landmarks_at(&place).ok().flatten().map_or(0, |known| known.landmarks().len());
-        let in_map = count(view.site().landmarks().len());
-        Ok(Response::new(v1::AddLandmarksResponse { at_place: count(at_place), in_map }))
+        let [at_place, in_map] = [at_place, view.site().landmarks().len()].map(landmark_number_to_wire);
+        Ok(Response::new(v1::AddLandmarksResponse { at_place, in_map }))
     }
 
     async fn list_landmarks(&self, request: Request<v1::ListLandmarksRequest>) -> RpcReply<v1::ListLandmarksResponse> {
@@ -186,23 +183,13 @@ impl LandmarkService for Routes {
             let descriptor_kind = kind.map_or_else(String::new, |kind| kind.name.clone());
             let mut reply = v1::ListLandmarksResponse { descriptor_kind, ..v1::ListLandmarksResponse::default() };
             let Some((place, part)) = place else {
-                let counted =
-                    |(place, _, known): (PlaceName, LandmarkPlace, Arc<LandmarksAtPlace>)| v1::LandmarkCount {
-                        place: Some(place_to_wire(&place, PartOfEdge::WHOLE)),
-                        landmarks: count(known.landmarks().len()),
-                    };
-                reply.places = all_places(&view).into_iter().map(counted).collect();
+                let places = all_places(&view);
+                let counts = places.iter().map(|(place, _, known)| (place, known.landmarks().len()));
+                reply.places = counts.map(|(place, count)| landmark_count_to_wire(place, count)).collect();
                 return Ok(reply);
             };
             let landmarks = predicted(&view, &place, part, 0)?;
-            reply.landmarks = landmarks
-                .iter()
-                .map(|known| v1::KnownLandmark {
-                    landmark: Some(landmark_to_wire(known.landmark)),
-                    seen_share: known.mean,
-                    sightings: known.sightings,
-                })
-                .collect();
+            reply.landmarks = landmarks.iter().map(known_landmark_to_wire).collect();
             let known = view.landmarks_at(&place).ok().flatten();
             reply.velocity_profile = known.map_or_else(Vec::new, |known| known.velocity_profile().to_vec());
             Ok::<_, RouteError>(reply)
@@ -221,10 +208,7 @@ impl LandmarkService for Routes {
         let found = self.run_blocking(move || to_remove(&view, removal)).await?.map_err(RpcError::from)?;
         let mut removed = Vec::with_capacity(found.len());
         for (place, names) in found {
-            removed.push(v1::RemovedLandmarks {
-                place: Some(place_to_wire(&place, PartOfEdge::WHOLE)),
-                names: names.iter().map(|name| name.as_str().to_owned()).collect(),
-            });
+            removed.push(removed_landmarks_to_wire(&place, &names));
             if !is_dry_run {
                 edit(&handle, LandmarkEdit::Remove { place, names }).await?;
             }
@@ -243,12 +227,8 @@ impl LandmarkService for Routes {
         let predict = move || {
             let landmarks = predicted(&view, &place, part, time_nanos)?;
             let max_count = if limit == 0 { usize::MAX } else { limit as usize };
-            let wire = |number: usize| {
-                let known = landmarks.get(number)?;
-                let landmark = Some(landmark_to_wire(known.landmark));
-                Some(v1::PredictedLandmark { landmark, probability: known.probability, sightings: known.sightings })
-            };
-            let known = count(landmarks.len());
+            let wire = |number: usize| landmarks.get(number).map(predicted_landmark_to_wire);
+            let known = landmark_number_to_wire(landmarks.len());
             let landmarks = expected(&landmarks, max_count).into_iter().filter_map(wire).collect();
             Ok::<_, RouteError>(v1::PredictLandmarksResponse { landmarks, known })
         };

@@ -4,7 +4,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
+use tidemap_map::topology::Edge;
 use tidemap_model::{EarlyStop, StopSignal};
 use tidemap_plan::{
     encounters::{NEAR_M, NEAR_MAX_CELLS},
@@ -15,12 +15,11 @@ use tidemap_proto::{
     convert::{
         query::planning_selector_from_wire,
         route::{
-            POLICY_CELLS_MAX, confidence_from_wire, later, policy_from_wire, policy_to_wire, route_from_wire,
-            routes_to_wire,
+            POLICY_CELLS_MAX, confidence_from_wire, later, policy_from_wire, policy_to_wire, prediction_to_wire,
+            route_from_wire, routes_to_wire,
         },
         search::{plan_within_from_wire, speed_from_wire},
         time::instant_from_wire,
-        topology::edge_to_wire,
     },
     v1,
 };
@@ -131,16 +130,9 @@ pub(super) async fn predict_edges(
     let work = move |stop: StopSignal<'_>| {
         let predict = |edge: &Edge| {
             stop.check()?;
-            let EdgeForecast { success, evidence, duration_secs } = edges.forecast(edge, time_nanos);
-            let interval = success_interval(success, evidence, confidence);
-            Ok(v1::PredictedEdge {
-                edge: Some(edge_to_wire(&topology, edge)),
-                success,
-                success_lower: interval.lower,
-                success_upper: interval.upper,
-                duration_secs,
-                reports: edges.reports(edge.id),
-            })
+            let forecast = edges.forecast(edge, time_nanos);
+            let interval = success_interval(forecast.success, forecast.evidence, confidence);
+            Ok(prediction_to_wire((&topology, edge), forecast, interval, edges.reports(edge.id)))
         };
         topology.edges().map(predict).collect::<Result<_, EarlyStop>>()
     };

@@ -5,9 +5,9 @@
 use tidemap_answer::StateOrCell;
 use tidemap_plan::search::{anyone, next_above};
 use tidemap_proto::{
-    convert::{
-        search::{JointQuestion, PresenceQuestion, joint_from_wire, presence_from_wire},
-        time::timestamp,
+    convert::search::{
+        JointAt, JointQuestion, NodePresence, PresenceQuestion, joint_from_wire, joint_to_wire, presence_from_wire,
+        presence_to_wire,
     },
     v1,
 };
@@ -36,16 +36,11 @@ pub(super) async fn predict_presence(
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();
         let sum: f64 = probabilities.iter().sum();
         let shares = if sum > 0.0 { probabilities.iter().map(|p| p / sum).collect() } else { Vec::new() };
-        v1::PresenceAt { time_nanos, shares, anybody: anyone(probabilities.iter().copied()), probabilities }
+        NodePresence { time_nanos, shares, anybody: anyone(probabilities.iter().copied()), probabilities }
     };
-    let topology = view.site().topology();
-    let name = |&id| topology.node(id).map_or_else(|_| String::new(), |node| node.name.as_str().to_owned());
-    Ok(v1::PredictPresenceResponse {
-        nodes: nodes.iter().map(name).collect(),
-        times: times.iter().enumerate().map(at).collect(),
-        unobserved,
-        unobserved_nodes,
-    })
+    let presence = times.iter().enumerate().map(at).collect();
+    let wire = presence_to_wire(view.site().topology(), &nodes, presence);
+    Ok(v1::PredictPresenceResponse { unobserved, unobserved_nodes, ..wire })
 }
 
 pub(super) async fn next_joint(
@@ -63,23 +58,23 @@ pub(super) async fn next_joint(
             check_kind(&view, *id, "states")?;
         }
     }
-    let mut best = (times[0], -1.0);
+    let mut best = JointAt { time_nanos: times[0], probability: -1.0 };
     // Later blocks are predicted only if no earlier one passes the threshold.
     for block in times.chunks(TIMES_PER_BLOCK) {
         let rows = predict_series(routes.predict_context(), &handle, &view, (states.clone(), block.to_vec()), selector)
             .await?;
         let together = |index: usize| rows.iter().map(move |row| row[index].clamp(0.0, 1.0));
-        for (index, &time) in block.iter().enumerate() {
-            let joint: f64 = together(index).product();
-            if joint > best.1 {
-                best = (time, joint);
+        for (index, &time_nanos) in block.iter().enumerate() {
+            let probability: f64 = together(index).product();
+            if probability > best.probability {
+                best = JointAt { time_nanos, probability };
             }
         }
         let passed = next_above((0..block.len()).map(together), threshold);
         if let Some(joint) = passed.map_err(RouteError::from)? {
-            let (time, best_time) = (Some(timestamp(block[joint.index])), Some(timestamp(best.0)));
-            return Ok(v1::NextJointResponse { time, probability: joint.probability, best_time });
+            let passed = JointAt { time_nanos: block[joint.index], probability: joint.probability };
+            return Ok(joint_to_wire(Some(passed), best));
         }
     }
-    Ok(v1::NextJointResponse { time: None, probability: best.1, best_time: Some(timestamp(best.0)) })
+    Ok(joint_to_wire(None, best))
 }

@@ -6,9 +6,14 @@
 use std::sync::Arc;
 
 use tidemap_ingest::handle::MapHandle;
-use tidemap_map::{anomaly::Confidence, history::Reading, ids::StateId, view::MapView};
+use tidemap_map::{
+    anomaly::{Anomaly, Confidence},
+    history::Reading,
+    ids::StateId,
+    view::MapView,
+};
 use tidemap_model::{StopSignal, label_evidence::normalise, selector::ModelSelector};
-use tidemap_proto::v1;
+use tidemap_proto::{convert::anomaly::label_anomalies_to_wire, v1};
 
 use super::{Judge, READINGS_PER_REPLY};
 use crate::{
@@ -61,7 +66,8 @@ pub(super) async fn find_anomalies(
         let count = judged.iter().map(|label| label.readings.len()).min().unwrap_or(0);
         for start in (0..count).step_by(READINGS_PER_REPLY) {
             let range = start..count.min(start + READINGS_PER_REPLY);
-            if !sink.send(unexpected(&view, &judged, range, (selector, confidence))) {
+            let found = unexpected(&view, &judged, range, (selector, confidence));
+            if !sink.send(label_anomalies_to_wire(found)) {
                 break;
             }
         }
@@ -69,16 +75,16 @@ pub(super) async fn find_anomalies(
     }))
 }
 
-/// The unexpected labels of some observations.
+/// The unexpected labels of some observations, each with its anomaly.
 fn unexpected(
     view: &MapView,
     labels: &[JudgedLabel],
     range: std::ops::Range<usize>,
     (selector, confidence): (ModelSelector, Confidence),
-) -> v1::FindAnomaliesResponse {
+) -> Vec<(String, Anomaly)> {
     let of_label = |label: &JudgedLabel| label.judge.expected(view, &label.readings[range.clone()], selector);
     let expected: Vec<Vec<f64>> = labels.iter().map(of_label).collect();
-    let mut reply = v1::FindAnomaliesResponse::default();
+    let mut found = Vec::new();
     for (place, index) in range.clone().enumerate() {
         let mut shares: Vec<f64> = expected.iter().map(|expected| expected[place]).collect();
         normalise(&mut shares);
@@ -89,10 +95,7 @@ fn unexpected(
         }
         let largest = observed().zip(labels).max_by(|(one, _), (other, _)| one.total_cmp(other));
         let Some((value, label)) = largest else { continue };
-        reply.times_nanos.push(label.readings[index].0);
-        reply.values.push(value);
-        reply.probabilities.push(probability);
-        reply.labels.push(label.name.clone());
+        found.push((label.name.clone(), Anomaly { utc_nanos: label.readings[index].0, value, probability }));
     }
-    reply
+    found
 }
