@@ -31,7 +31,7 @@
 //! every byte.
 //!
 //! A learned state is a message inside these messages, as bytes. Its fields stand beside its type in `tidemap-model`
-//! (`Fields`), so that each is written down once; tags and forms are bound by the same rule as this crate.
+//! (`StoredFields`), so that each is written down once; tags and forms are bound by the same rule as this crate.
 //!
 //! `tidemap-store` converts these messages to the types of the domain, and defines their meaning. Invariant: from the
 //! first release on, nothing in this crate changes meaning, tag, name or size; `golden.rs` in `tidemap-store` checks

@@ -13,7 +13,7 @@ pub const FINITE: RangeInclusive<f64> = f64::MIN..=f64::MAX;
 pub const NOT_NEGATIVE: RangeInclusive<f64> = 0.0..=f64::MAX;
 
 /// A type that is stored as a message of fields.
-pub trait Fields {
+pub trait StoredFields {
     /// Visits all fields in the order of their tags. A reader replaces them, a writer leaves them as they are.
     ///
     /// # Errors
@@ -29,7 +29,7 @@ pub trait Fields {
     }
 }
 
-impl<T: Fields> Fields for Box<T> {
+impl<T: StoredFields> StoredFields for Box<T> {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         T::fields(self, visitor)
     }
@@ -40,7 +40,7 @@ impl<T: Fields> Fields for Box<T> {
 }
 
 /// A reading: UTC nanoseconds and value.
-impl Fields for (i64, f64) {
+impl StoredFields for (i64, f64) {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "time of a reading", &mut self.0)?;
         visitor.number(2, "value of a reading", FINITE, &mut self.1)
@@ -57,7 +57,7 @@ pub trait Visitor {
     ///
     /// # Errors
     /// A reader refuses another form, or a number outside the range.
-    fn number<S: Scalar>(
+    fn number<S: StoredScalar>(
         &mut self,
         tag: u32,
         name: &'static str,
@@ -69,7 +69,7 @@ pub trait Visitor {
     ///
     /// # Errors
     /// A reader refuses another form, another length, or an integer outside its type.
-    fn integers<S: Scalar>(
+    fn integers<S: StoredScalar>(
         &mut self,
         tag: u32,
         name: &'static str,
@@ -104,7 +104,7 @@ pub trait Visitor {
     ///
     /// # Errors
     /// A reader refuses another number of messages, and what a message refuses.
-    fn messages<T: Fields + Default>(
+    fn messages<T: StoredFields + Default>(
         &mut self,
         tag: u32,
         name: &'static str,
@@ -121,7 +121,7 @@ pub trait Visitor {
     ///
     /// # Errors
     /// A reader refuses another form, or an integer outside its type.
-    fn integer<S: Scalar>(&mut self, tag: u32, name: &'static str, value: &mut S) -> Result<(), Self::Refused> {
+    fn integer<S: StoredScalar>(&mut self, tag: u32, name: &'static str, value: &mut S) -> Result<(), Self::Refused> {
         self.number(tag, name, FINITE, value)
     }
 
@@ -158,7 +158,7 @@ pub enum Form {
 }
 
 /// A single value: an integer, a day, a flag, a floating-point number, or an optional one of these.
-pub trait Scalar: Sized {
+pub trait StoredScalar: Sized {
     /// The form of the value.
     const FORM: Form;
     /// Whether a value of 0 is written.
@@ -290,10 +290,10 @@ packed! {
     i8, false;
 }
 
-/// Implements [`Scalar`] for types in one form; `$of` gives `None` for bits that no value has.
+/// Implements [`StoredScalar`] for types in one form; `$from` gives `None` for bits that no value has.
 macro_rules! scalar {
-    ($($value:ty, $form:ident, $bits:expr, $of:expr;)*) => {$(
-        impl Scalar for $value {
+    ($($value:ty, $form:ident, $bits:expr, $from:expr;)*) => {$(
+        impl StoredScalar for $value {
             const FORM: Form = Form::$form;
 
             fn bits(&self) -> Option<u64> {
@@ -301,7 +301,7 @@ macro_rules! scalar {
             }
 
             fn of_bits(bits: Option<u64>) -> Option<$value> {
-                $of(bits.unwrap_or(0))
+                $from(bits.unwrap_or(0))
             }
         }
     )*};
@@ -327,10 +327,10 @@ scalar! {
     LocalDay, Varint, |day: LocalDay| zigzag(day.0.into()), |bits| Some(LocalDay(of_zigzag(bits & 0xFFFF_FFFF) as i32));
 }
 
-/// Implements [`Scalar`] for floating-point numbers.
+/// Implements [`StoredScalar`] for floating-point numbers.
 macro_rules! float {
     ($($number:ty, $form:ident, $bits:ty;)*) => {$(
-        impl Scalar for $number {
+        impl StoredScalar for $number {
             const FORM: Form = Form::$form;
 
             fn bits(&self) -> Option<u64> {
@@ -353,7 +353,7 @@ float! {
     f64, Double, u64;
 }
 
-impl<S: Scalar> Scalar for Option<S> {
+impl<S: StoredScalar> StoredScalar for Option<S> {
     const FORM: Form = S::FORM;
     const IS_OPTIONAL: bool = true;
 

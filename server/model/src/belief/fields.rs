@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     InvalidParts, StateKind,
-    fields::{FINITE, Fields, NOT_NEGATIVE, Packed, Visitor},
+    fields::{FINITE, NOT_NEGATIVE, Packed, StoredFields, Visitor},
     models::markov_chain::likelihood::{GapCounts, Transitions},
 };
 
@@ -23,7 +23,7 @@ const POSITIVE: RangeInclusive<f64> = f64::MIN_POSITIVE..=f64::MAX;
 /// Octave, number and seconds of the pairs, pairs that stayed 0, rose, fell and stayed 1.
 type Octave = [f64; 7];
 
-impl Fields for Belief {
+impl StoredFields for Belief {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "a state of two values", &mut self.has_two_values)?;
         visitor.messages(2, "newest learned reading", &mut self.newest)?;
@@ -83,7 +83,7 @@ impl Belief {
     }
 }
 
-impl Fields for OfValue {
+impl StoredFields for OfValue {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.list(1, "length of a dwell", NOT_NEGATIVE, &mut self.secs)?;
         visitor.integer(2, "number of dwells", &mut self.count)?;
@@ -99,7 +99,7 @@ impl Fields for OfValue {
     }
 }
 
-impl Fields for UnendedDwell {
+impl StoredFields for UnendedDwell {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let (mut since, secs) = self.since.unzip();
         let mut secs = secs.unwrap_or(0.0);

@@ -11,7 +11,7 @@ use super::rotation::LONGEST;
 use super::season::{FiveDays, Rhythm};
 use super::{Ensemble, Stack, WeekTable, equivalent_bins};
 use crate::InvalidParts;
-use crate::fields::{FINITE, Fields, NOT_NEGATIVE, Packed, Visitor};
+use crate::fields::{FINITE, NOT_NEGATIVE, Packed, StoredFields, Visitor};
 
 const RHYTHM: &str = "rhythm of the year";
 
@@ -19,7 +19,7 @@ fn wrong(field: &'static str, found: usize) -> InvalidParts {
     InvalidParts::OutOfRange { field, found: found as f64 }
 }
 
-impl Fields for Ensemble {
+impl StoredFields for Ensemble {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.lists(
             1,
@@ -98,7 +98,7 @@ impl Rhythm {
     }
 }
 
-impl Fields for FiveDays {
+impl StoredFields for FiveDays {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "first of five days", &mut self.day)?;
         visitor.number(2, "mean of five days", 0.0..=1.0, &mut self.mean)?;
@@ -106,7 +106,7 @@ impl Fields for FiveDays {
     }
 }
 
-impl Fields for Class {
+impl StoredFields for Class {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let errors: &mut [&mut [f32]] = &mut [&mut self.losses, &mut self.explained, slice::from_mut(&mut self.bins)];
         visitor.lists(1, "errors at a lead time", NOT_NEGATIVE, errors)?;
@@ -116,7 +116,7 @@ impl Fields for Class {
     }
 }
 
-impl Fields for StoredForecast {
+impl StoredFields for StoredForecast {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "day of a stored forecast", &mut self.day)?;
         visitor.number(2, "mean of a stored forecast", 0.0..=1.0, &mut self.mean)?;

@@ -8,7 +8,7 @@ use std::slice;
 
 use crate::{
     InvalidParts, LocalDay,
-    fields::{Fields, NOT_NEGATIVE, Visitor},
+    fields::{NOT_NEGATIVE, StoredFields, Visitor},
 };
 
 #[cfg(test)]
@@ -52,7 +52,7 @@ pub struct ChangeAlarmParts {
     pub alarm_day: Option<LocalDay>,
 }
 
-impl Fields for ChangeAlarmParts {
+impl StoredFields for ChangeAlarmParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let numbers = self.kinds.each_mut().map(|kind| [&mut kind.days, &mut kind.mean, &mut kind.variance]);
         let [[one, two, three], [four, five, six]] = numbers;

@@ -11,7 +11,7 @@
 
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
-use crate::fields::{FINITE, Fields, Visitor};
+use crate::fields::{FINITE, StoredFields, Visitor};
 
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 
@@ -43,7 +43,7 @@ pub struct CalibratedParts {
 }
 
 /// Tags 1 and 2 belong to the training.
-impl Fields for CalibratedParts {
+impl StoredFields for CalibratedParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(3, "observations of a calibrated model", &mut self.observations)?;
         visitor.number(4, "lowest reading", FINITE, &mut self.lowest)?;

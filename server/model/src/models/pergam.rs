@@ -10,7 +10,7 @@ use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
-use crate::fields::{FINITE, Fields, Packed, Visitor};
+use crate::fields::{FINITE, Packed, StoredFields, Visitor};
 
 mod expectation;
 mod phases;
@@ -69,7 +69,7 @@ pub struct PergamParts {
 }
 
 /// Tag 1 belongs to the training.
-impl Fields for PergamParts {
+impl StoredFields for PergamParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(2, "period of a mixture", &mut self.period_nanos)?;
         visitor.list(3, "Gaussians of a mixture", FINITE, &mut self.gaussians)

@@ -9,7 +9,7 @@ use std::array;
 
 use crate::{
     InvalidParts, LocalDay, ORDER_MAX, OrderErrors, Periodicities, SpectralModel,
-    fields::{Fields, NOT_NEGATIVE, Visitor},
+    fields::{NOT_NEGATIVE, StoredFields, Visitor},
     models::{
         ChangeAlarm, ChangeAlarmParts, DependenceSums, OrderGains, OrderGainsParts, half_square_of_probabilities,
         supported_order_of,
@@ -48,7 +48,7 @@ pub struct OrderWatchParts {
     pub supported: u8,
 }
 
-impl Fields for OrderWatchParts {
+impl StoredFields for OrderWatchParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         self.gains.field(1, visitor)?;
         visitor.messages(2, "change alarm", array::from_mut(&mut self.alarm))?;

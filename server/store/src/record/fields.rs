@@ -11,12 +11,12 @@ use prost::encoding::{
 };
 use tidemap_model::{
     InvalidParts,
-    fields::{Fields, Form, Packed, Scalar, Slots, Visitor},
+    fields::{Form, Packed, Slots, StoredFields, StoredScalar, Visitor},
 };
 
 /// The message of a learned state.
-pub(crate) fn write(mut state: impl Fields) -> Vec<u8> {
-    let mut writer = Writer { out: Vec::new() };
+pub(crate) fn write(mut state: impl StoredFields) -> Vec<u8> {
+    let mut writer = FieldWriter { out: Vec::new() };
     let Ok(()) = state.fields(&mut writer);
     writer.out
 }
@@ -25,13 +25,13 @@ pub(crate) fn write(mut state: impl Fields) -> Vec<u8> {
 ///
 /// # Errors
 /// [`InvalidParts`] where the message or a number in it is not valid.
-pub(crate) fn read<T: Fields>(empty: T, message: &[u8]) -> Result<T, InvalidParts> {
+pub(crate) fn read<T: StoredFields>(empty: T, message: &[u8]) -> Result<T, InvalidParts> {
     read_as("a learned state", empty, message)
 }
 
 /// Appends a field of elements of equal size to a message that does not have it.
 pub(crate) fn append_list<P: Packed>(message: &mut Vec<u8>, tag: u32, elements: &[P]) {
-    let mut writer = Writer { out: std::mem::take(message) };
+    let mut writer = FieldWriter { out: std::mem::take(message) };
     writer.bytes(tag, elements.len() * P::BYTES, |out| elements.iter().for_each(|element| element.put(out)));
     *message = writer.out;
 }
@@ -56,18 +56,18 @@ fn elements_of<'a, P: Packed>(name: &'static str, bytes: &'a [u8]) -> Result<Chu
     if elements.remainder().is_empty() { Ok(elements) } else { Err(InvalidParts::Bytes { field: name }) }
 }
 
-fn read_as<T: Fields>(name: &'static str, mut state: T, message: &[u8]) -> Result<T, InvalidParts> {
-    state.fields(&mut Reader::new(name, message)?)?;
+fn read_as<T: StoredFields>(name: &'static str, mut state: T, message: &[u8]) -> Result<T, InvalidParts> {
+    state.fields(&mut FieldReader::new(name, message)?)?;
     state.finish()?;
     Ok(state)
 }
 
 /// Appends the fields that it visits.
-struct Writer {
+struct FieldWriter {
     out: Vec<u8>,
 }
 
-impl Writer {
+impl FieldWriter {
     /// Appends a field of bytes, whose number is known; nothing if there are none.
     fn bytes(&mut self, tag: u32, length: usize, put: impl FnOnce(&mut Vec<u8>)) {
         if length > 0 {
@@ -79,10 +79,10 @@ impl Writer {
     }
 }
 
-impl Visitor for Writer {
+impl Visitor for FieldWriter {
     type Refused = Infallible;
 
-    fn number<S: Scalar>(
+    fn number<S: StoredScalar>(
         &mut self,
         tag: u32,
         _name: &'static str,
@@ -99,7 +99,7 @@ impl Visitor for Writer {
         Ok(())
     }
 
-    fn integers<S: Scalar>(
+    fn integers<S: StoredScalar>(
         &mut self,
         tag: u32,
         _name: &'static str,
@@ -135,14 +135,14 @@ impl Visitor for Writer {
         Ok(())
     }
 
-    fn messages<T: Fields + Default>(
+    fn messages<T: StoredFields + Default>(
         &mut self,
         tag: u32,
         _name: &'static str,
         slots: &mut impl Slots<T>,
     ) -> Result<(), Infallible> {
         for message in slots.all() {
-            let mut inner = Writer { out: Vec::new() };
+            let mut inner = FieldWriter { out: Vec::new() };
             message.fields(&mut inner)?;
             encode_key(tag, WireType::LengthDelimited, &mut self.out);
             encode_varint(inner.out.len() as u64, &mut self.out);
@@ -157,19 +157,19 @@ impl Visitor for Writer {
 }
 
 /// Replaces the fields that it visits by those of a message.
-struct Reader<'a> {
+struct FieldReader<'a> {
     /// The fields in the order of the message: tag, form, and bytes without their number.
     fields: Vec<(u32, WireType, &'a [u8])>,
 }
 
-impl<'a> Reader<'a> {
-    fn new(name: &'static str, message: &'a [u8]) -> Result<Reader<'a>, InvalidParts> {
+impl<'a> FieldReader<'a> {
+    fn new(name: &'static str, message: &'a [u8]) -> Result<FieldReader<'a>, InvalidParts> {
         let mut fields = Vec::new();
         let mut rest = message;
         while !rest.is_empty() {
             fields.push(next_field(&mut rest).ok_or(InvalidParts::Bytes { field: name })?);
         }
-        Ok(Reader { fields })
+        Ok(FieldReader { fields })
     }
 
     /// The bytes of a field; `None` if it is absent.
@@ -187,10 +187,10 @@ impl<'a> Reader<'a> {
     }
 }
 
-impl Visitor for Reader<'_> {
+impl Visitor for FieldReader<'_> {
     type Refused = InvalidParts;
 
-    fn number<S: Scalar>(
+    fn number<S: StoredScalar>(
         &mut self,
         tag: u32,
         name: &'static str,
@@ -209,7 +209,7 @@ impl Visitor for Reader<'_> {
         value.ranged().map_or(Ok(()), |number| number.check(name, &range))
     }
 
-    fn integers<S: Scalar>(
+    fn integers<S: StoredScalar>(
         &mut self,
         tag: u32,
         name: &'static str,
@@ -254,7 +254,7 @@ impl Visitor for Reader<'_> {
         Ok(())
     }
 
-    fn messages<T: Fields + Default>(
+    fn messages<T: StoredFields + Default>(
         &mut self,
         tag: u32,
         name: &'static str,

@@ -2,7 +2,7 @@
 
 use tidemap_model::{
     AlternativesParts, InvalidParts, LocalDay, Periodicities, Sample, TrainedModelParts, TrainingRecordParts,
-    fields::{Fields, Visitor},
+    fields::{StoredFields, Visitor},
     models::{
         CountRate, HypertimeMethod, HypertimeOddsParts, HypertimeParts, HypertimePeriod, PoissonSpectralParts, Readings,
     },
@@ -28,7 +28,7 @@ struct Inner {
     is_set: bool,
 }
 
-impl Fields for Example {
+impl StoredFields for Example {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "count", &mut self.count)?;
         visitor.integer(2, "day", &mut self.day)?;
@@ -44,7 +44,7 @@ impl Fields for Example {
     }
 }
 
-impl Fields for Inner {
+impl StoredFields for Inner {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "flag", &mut self.is_set)
     }

@@ -8,7 +8,7 @@ use super::{
     NumberEnsemble, RECALL_DAYS, UNSEEN,
     ahead::{CLASSES, FarStack},
 };
-use crate::fields::{FINITE, Fields, NOT_NEGATIVE, Visitor};
+use crate::fields::{FINITE, NOT_NEGATIVE, StoredFields, Visitor};
 use crate::{InvalidParts, LocalDay};
 
 const NUMBER: &str = "number of an ensemble";
@@ -17,7 +17,7 @@ const NUMBER: &str = "number of an ensemble";
 #[derive(Debug, Default)]
 struct Turns(Vec<LocalDay>);
 
-impl Fields for Turns {
+impl StoredFields for Turns {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integers(1, "turns of a lead time", &mut self.0)
     }
@@ -62,7 +62,7 @@ impl NumberEnsemble {
     }
 }
 
-impl Fields for NumberEnsemble {
+impl StoredFields for NumberEnsemble {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "last day of an ensemble", &mut self.last)?;
         let mut numbers: Vec<&mut [f64]> = self.numbers().into_iter().map(|(_, list)| list).collect();

@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix};
 
 use super::concentration::{CONCENTRATION_MAX, log_normaliser};
 use crate::InvalidParts;
-use crate::fields::{FINITE, Fields, Visitor};
+use crate::fields::{FINITE, StoredFields, Visitor};
 
 #[cfg(test)]
 mod tests;
@@ -39,7 +39,7 @@ pub struct HypertimeCluster {
     pub concentrations: Vec<f64>,
 }
 
-impl Fields for HypertimeCluster {
+impl StoredFields for HypertimeCluster {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.number(1, "cluster.weight", FINITE, &mut self.weight)?;
         visitor.list(2, "cluster.centre", FINITE, &mut self.centre)?;

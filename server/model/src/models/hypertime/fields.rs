@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     InvalidParts,
-    fields::{FINITE, Fields, Visitor},
+    fields::{FINITE, StoredFields, Visitor},
 };
 
 impl HypertimeParts {
@@ -21,7 +21,7 @@ impl HypertimeParts {
         }
     }
 
-    /// The same parts with another method.
+    /// A copy of the parts with another method.
     pub(crate) fn with_method(self, method: HypertimeMethod) -> HypertimeParts {
         match self {
             HypertimeParts::Probability(odds) => HypertimeParts::Probability(HypertimeOddsParts { method, ..odds }),
@@ -97,7 +97,7 @@ impl Numbers {
     }
 }
 
-impl Fields for HypertimeParts {
+impl StoredFields for HypertimeParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let mut numbers = Numbers::of(self);
         let mut divisors: Vec<u32> = numbers.periods.iter().map(|period| period.divisor).collect();

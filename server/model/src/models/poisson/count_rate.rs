@@ -8,7 +8,7 @@ use super::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
 use crate::models::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{
     Component, InvalidParts, Periodicities,
-    fields::{FINITE, Fields, Visitor},
+    fields::{FINITE, StoredFields, Visitor},
 };
 
 /// A [`PoissonSpectral`] model in bins of [`COUNT_BIN_NANOS`], and the usual number of readings in an observed bin.
@@ -30,7 +30,7 @@ pub struct CountRateParts {
 }
 
 /// Tag 1 belongs to the training. The periodicities are those of the map, and not stored.
-impl Fields for CountRateParts {
+impl StoredFields for CountRateParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let PoissonSpectralParts { bin_nanos, mean, floor, components } = &mut self.bins;
         visitor.integer(2, "bin of counts", bin_nanos)?;

@@ -1,6 +1,7 @@
 //! The stored fields of the alternatives to the spectral model of a state.
 //!
-//! Invariant: what was written is read back as it was. The constructors of the model check what depends on other fields.
+//! Invariant: a reader gets back what a writer has written. The constructors of the model check what depends on other
+//! fields.
 
 use std::array;
 
@@ -8,11 +9,11 @@ use super::{AlternativesParts, TrainingRecordParts};
 use crate::{
     InvalidParts, LocalDay, Periodicities,
     catalogue::TrainedModelParts,
-    fields::{FINITE, Fields, NOT_NEGATIVE, Visitor},
+    fields::{FINITE, NOT_NEGATIVE, StoredFields, Visitor},
     models::{CalibratedParts, CountRateParts, HourTableParts, HypertimeMethod, HypertimeParts, PergamParts},
 };
 
-impl Fields for AlternativesParts {
+impl StoredFields for AlternativesParts {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         let hours = |numbers: Vec<f64>| HourTableParts::of_numbers(&numbers);
         visitor.converted(Self::HOURS, "hours of a state", &mut self.hours, HourTableParts::numbers, hours)?;
@@ -79,7 +80,7 @@ struct Training {
     error_sum: Option<f64>,
 }
 
-impl Fields for Training {
+impl StoredFields for Training {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.integer(1, "day of a training", &mut self.day)?;
         visitor.number(2, "error sum", NOT_NEGATIVE, &mut self.error_sum)
@@ -93,7 +94,7 @@ struct Trained<M> {
     model: M,
 }
 
-impl<M: Fields> Fields for Trained<M> {
+impl<M: StoredFields> StoredFields for Trained<M> {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.messages(1, "training of a model", array::from_mut(&mut self.training))?;
         self.model.fields(visitor)
@@ -104,7 +105,7 @@ impl<M: Fields> Fields for Trained<M> {
 #[derive(Debug, Default)]
 struct TrainedCalibrated(Trained<CalibratedParts>);
 
-impl Fields for TrainedCalibrated {
+impl StoredFields for TrainedCalibrated {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         self.0.training.fields(visitor)?;
         self.0.model.fields(visitor)
@@ -128,7 +129,7 @@ struct NightlyModels {
     poisson: Option<Trained<CountRateParts>>,
 }
 
-impl Fields for NightlyModels {
+impl StoredFields for NightlyModels {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
         visitor.messages(1, "periodic mixture of Gaussians", &mut self.pergam)?;
         visitor.messages(2, "hypertime by expectation-maximisation", &mut self.hypertime_em)?;
