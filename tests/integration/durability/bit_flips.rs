@@ -262,7 +262,7 @@ async fn durability_a_flipped_bit_is_harmless_or_reported() {
     let seed = rounds::seed("durability_a_flipped_bit_is_harmless_or_reported");
     let work = tempdir().expect("a folder");
     let sound = Sound::new(work.path()).await;
-    let count = rounds::count("TIDEMAP_FLIPS", 60);
+    let count = rounds::count("TIDEMAP_FLIPS", 24);
     sound.rounds(work.path(), &[Harm::FlippedBit], count, &mut rounds::draws(seed)).await;
 }
 
@@ -271,7 +271,7 @@ async fn durability_zeroed_cut_and_missing_files_are_harmless_or_reported() {
     let seed = rounds::seed("durability_zeroed_cut_and_missing_files_are_harmless_or_reported");
     let work = tempdir().expect("a folder");
     let sound = Sound::new(work.path()).await;
-    let count = rounds::count("TIDEMAP_HARMS", 42);
+    let count = rounds::count("TIDEMAP_HARMS", 18);
     let harms = [Harm::ZeroedSector, Harm::Truncation, Harm::Deletion];
     sound.rounds(work.path(), &harms, count, &mut rounds::draws(seed)).await;
 }
