@@ -72,8 +72,7 @@ impl SiteTable {
     }
 }
 
-/// All tables, ascending by number. The table with the most rows is the last one, because an added row moves the rows
-/// after it.
+/// All tables, ascending by number. A new table gets the next number, which is never used again.
 const TABLES: [SiteTable; 8] = [
     SiteTable::of::<charger::Charger>(),
     SiteTable::of::<locations::Locations>(),
