@@ -20,9 +20,9 @@ WEBSOCKETS := 17.4
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
 TESTED = --workspace --locked --bins --tests $(FEATURES)
-# What installed and packaged programs have, and only few users need: clusters, traces, Foxglove.
+# Parts that few users need: clusters, traces, Foxglove. Installed and packaged programs have them.
 FULL := --features tidemapd/full,tidemap/full
-CORNERS :=
+EXTRA :=
 # All but the allocator, whose C code takes as long to build as a crate of the daemon.
 FEATURES := --no-default-features --features tidemapd/traces
 
@@ -33,7 +33,7 @@ help:
 ## build: the daemon, the command line and the load generator, optimised; without clusters, traces and Foxglove
 build:
 	@$(SETUP)
-	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench $(CORNERS)
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap -p tidemap-bench $(EXTRA)
 
 ## web: the page, from client/web into client/web/dist, which the daemon embeds; needs Node
 web:
@@ -116,7 +116,7 @@ ros-test: wheel
 	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins
 	@$(ENV); deploy/ros_test.sh $(or $(DISTRO),kilted)
 
-## cpp-test: builds the examples of client/cpp (the queue; the wire with Debian's gRPC), and runs them against a real daemon
+## cpp-test: builds the examples of client/cpp (queue, and wire with Debian's gRPC) and runs them with a real daemon
 cpp-test:
 	@$(SETUP) cpp
 	@$(ENV); cargo build --locked $(FEATURES) -p tidemapd -p tidemap --bins
@@ -192,7 +192,7 @@ durability:
 	fi
 
 # Completions and man pages, which both programs write themselves.
-install texts deb schemathesis: CORNERS := $(FULL)
+install texts deb schemathesis: EXTRA := $(FULL)
 texts: build
 	@deploy/texts.sh "$(BUILT)" target/texts
 

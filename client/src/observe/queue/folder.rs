@@ -29,7 +29,7 @@ const SEGMENT_BYTES_MAX: u64 = 64 << 20;
 /// An acknowledged segment that is smaller stays for the next records: removing it costs two writes to the disk.
 const EMPTIED_BYTES_MIN: u64 = 4 << 20;
 
-/// The begin of a record in a segment.
+/// The beginning of a record in a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RecordPlace {
     pub(super) number: u64,
