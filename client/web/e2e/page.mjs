@@ -390,7 +390,7 @@ try {
         const expected = (column) => rows.map((row) => [Number(row.x), Number(Number(row[column]).toFixed(6))]).sort(([a], [b]) => a - b);
         assert.equal(rows.length, 12);
         for (const [kind, column] of [['flow', 'expected_count'], ['direction', 'direction_rad'], ['share', 'share']]) assert.deepEqual(said(kind), expected(column));
-        await page.waitForURL(/flow=people/);
+        await page.waitForURL(({ searchParams }) => searchParams.get('flow') === 'people' && searchParams.get('at')?.startsWith('2025-01-21T15'));
         await page.reload();
         await isAt('2025-01-21T15:00:00.000Z');
     });

@@ -54,22 +54,35 @@ export function follow(event: MouseEvent): void {
     go(target.pathname + target.search);
 }
 
+/** The shortest time between two changes of the written address: browsers refuse about a hundred in half a minute. */
+const BETWEEN_WRITES_MS = 400;
 let waiting: ReturnType<typeof setTimeout> | undefined;
+let writtenAt = -Infinity;
 
-/** Changes parameters of the address; `undefined` or an empty text removes one. Makes no step in the history. */
+function write(path: string): void {
+    // A view that was left meanwhile has no address to write.
+    if (window.location.pathname !== path) return;
+    writtenAt = performance.now();
+    const text = new URLSearchParams(address.params).toString();
+    window.history.replaceState(null, '', text ? `${path}?${text}` : path);
+}
+
+/**
+ * Changes parameters of the address; `undefined` or an empty text removes one. Makes no step in the history.
+ *
+ * The first change is written at once, so that loading the page again shows the same view; the changes of a playing
+ * slider are written every 0.4 s.
+ */
 export function setParams(changes: Record<string, string | undefined>): void {
     for (const [name, value] of Object.entries(changes)) {
         if (value) address.params[name] = value;
         else delete address.params[name];
     }
-    // Browsers refuse more than about a hundred changes in half a minute: a playing slider waits.
     clearTimeout(waiting);
     const path = window.location.pathname;
-    waiting = setTimeout(() => {
-        if (window.location.pathname !== path) return;
-        const text = new URLSearchParams(address.params).toString();
-        window.history.replaceState(null, '', text ? `${path}?${text}` : path);
-    }, 400);
+    const rest = writtenAt + BETWEEN_WRITES_MS - performance.now();
+    if (rest <= 0) write(path);
+    else waiting = setTimeout(() => write(path), rest);
 }
 
 /** Changes the time of the view, to the minute. */
