@@ -86,6 +86,8 @@ impl NativeQueue {
         ranges_m: PyReadonlyArray1<'_, f32>,
         min_range_m: f32,
         max_range_m: f32,
+        free_range_m: f32,
+        trusted_range_m: f32,
         frame_id: String,
     ) -> PyResult<u64> {
         let scan = RangeScan {
@@ -96,6 +98,8 @@ impl NativeQueue {
             ranges_m: ranges_m.as_array().to_vec(),
             min_range_m,
             max_range_m,
+            free_range_m,
+            trusted_range_m,
         };
         self.with(py, |producer| producer.send_scan(time_nanos, Scan::Ranges(scan)))
     }

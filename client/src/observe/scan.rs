@@ -41,12 +41,16 @@ pub struct RangeScan {
     pub angle_min_rad: f32,
     /// Angle between rays, counter-clockwise.
     pub angle_increment_rad: f32,
-    /// Ranges; infinity: nothing up to `max_range_m`; NaN: no reading.
+    /// Ranges; infinity, and `max_range_m` or more: the beam has no return; NaN: no reading.
     pub ranges_m: Vec<f32>,
     /// Minimum range; nearer readings are ignored.
     pub min_range_m: f32,
-    /// Maximum range, above 0; farther readings only show that the way is free up to it.
+    /// Range of the sensor, above 0.
     pub max_range_m: f32,
+    /// Beams without a return show that the way is free up to this range; 0: they show nothing.
+    pub free_range_m: f32,
+    /// Farther readings only show that the way is free up to this range; 0: all readings count.
+    pub trusted_range_m: f32,
 }
 
 /// A scan.
@@ -89,6 +93,8 @@ impl From<RangeScan> for v1::RangeScan {
             ranges_m: scan.ranges_m,
             min_range_m: scan.min_range_m,
             max_range_m: scan.max_range_m,
+            free_range_m: scan.free_range_m,
+            trusted_range_m: scan.trusted_range_m,
         }
     }
 }

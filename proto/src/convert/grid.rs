@@ -5,7 +5,7 @@
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use tidemap_grid::{
     index::{CellBox, CellIndex},
-    spec::{GridSpec, InvalidGrid, Retention, SensorNoise},
+    spec::{Evidence, GridSpec, InvalidGrid, Retention, SensorNoise},
     view::GridView,
 };
 
@@ -43,6 +43,7 @@ pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
             .half_life
             .map(|half_life| nanos_from_duration("grid.half_life", half_life))
             .transpose()?,
+        evidence: Evidence::Bins,
     };
     spec.check().map_err(|error| {
         let field = match error {

@@ -152,15 +152,7 @@ impl GridDay {
         };
         let Some((_, known)) = self.tiles.get_mut(at) else { return 0 };
         let before = known.flips.len();
-        for (bit, before, now) in [
-            (Bit::Observed, known.last.observed(), masks.observed()),
-            (Bit::Occupied, known.last.occupied(), masks.occupied()),
-        ] {
-            for cell in (before ^ now).cells() {
-                known.flips.push(Flip::new(scan, cell, bit));
-            }
-        }
-        known.last = masks;
+        known.show(scan, masks);
         (known.flips.len() - before) as u64
     }
 
@@ -319,6 +311,19 @@ pub struct DayTileScans<'a> {
 }
 
 impl DayTile {
+    /// Adds the masks of a scan after those that the tile has.
+    pub(crate) fn show(&mut self, scan: u32, masks: TileMasks) {
+        for (bit, before, now) in [
+            (Bit::Observed, self.last.observed(), masks.observed()),
+            (Bit::Occupied, self.last.occupied(), masks.occupied()),
+        ] {
+            for cell in (before ^ now).cells() {
+                self.flips.push(Flip::new(scan, cell, bit));
+            }
+        }
+        self.last = masks;
+    }
+
     /// The masks of each scan that saw the tile; `ranges` as [`GridDay::presence_by_tile`] gives them.
     pub fn scans<'a>(&'a self, ranges: &'a [(u32, u32)]) -> DayTileScans<'a> {
         DayTileScans { ranges: ranges.iter(), range: (0, 0), masks: self.first, flips: &self.flips }

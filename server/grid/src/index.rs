@@ -34,6 +34,17 @@ impl TileIndex {
         [self.x, self.y, self.z].iter().all(|index| (-TILE_LIMIT..TILE_LIMIT).contains(index))
     }
 
+    /// The tile beside this one, up or down along axis 0, 1 or 2.
+    pub(crate) fn neighbour(mut self, axis: usize, is_up: bool) -> TileIndex {
+        let along = match axis {
+            0 => &mut self.x,
+            1 => &mut self.y,
+            _ => &mut self.z,
+        };
+        *along = along.saturating_add(if is_up { 1 } else { -1 });
+        self
+    }
+
     /// The cell at place `cell` (below [`TILE_CELLS`]) of this tile.
     #[inline]
     pub fn cell(self, cell: u16) -> CellIndex {

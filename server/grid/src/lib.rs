@@ -35,6 +35,7 @@
 //! Invariants: no I/O, no clock, no hidden randomness. Unknown, free and occupied are three different things
 //! everywhere. A cell is observed when a scan marks it as observed; an occupied cell is observed.
 
+pub mod bins;
 mod blend;
 pub mod day;
 pub mod fade;

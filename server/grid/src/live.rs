@@ -150,7 +150,7 @@ impl LiveGrid {
         let (days, newest_future) = self.take_before(cut_nanos);
         let half_life = self.spec.half_life_nanos.map(HalfLife::of_nanos);
         let work = GridWork {
-            rules: Rules::new(periodicities, criterion, &self.sensors, half_life),
+            rules: Rules::new(periodicities, criterion, self.spec.evidence, &self.sensors, half_life),
             generation: Arc::clone(&self.generation),
             sums: std::mem::take(&mut self.sums),
             days,

@@ -9,6 +9,10 @@ use std::ops::{BitAnd, BitOr, BitOrAssign, BitXor, Not};
 
 use crate::index::TILE_CELLS;
 
+/// The cells of a layer with x = 0, and those with x = 7.
+const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+const LAST_COLUMN: u64 = FIRST_COLUMN << 7;
+
 /// A set of cells of one tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Mask(pub [u64; 8]);
@@ -95,6 +99,20 @@ impl Mask {
             rest &= rest - 1;
             Some(cell)
         })
+    }
+
+    /// The cells of the tile whose neighbour, up or down along axis 0, 1 or 2, is in the set; `beyond` is the set in the
+    /// neighbouring tile on that side.
+    pub(crate) fn beside(self, axis: usize, is_up: bool, beyond: Mask) -> Mask {
+        let layers = |layer: fn(u64, u64) -> u64| Mask(std::array::from_fn(|z| layer(self.0[z], beyond.0[z])));
+        match (axis, is_up) {
+            (0, true) => layers(|own, beyond| (own & !FIRST_COLUMN) >> 1 | (beyond & FIRST_COLUMN) << 7),
+            (0, false) => layers(|own, beyond| (own & !LAST_COLUMN) << 1 | (beyond & LAST_COLUMN) >> 7),
+            (1, true) => layers(|own, beyond| own >> 8 | beyond << 56),
+            (1, false) => layers(|own, beyond| own << 8 | beyond >> 56),
+            (_, true) => Mask(std::array::from_fn(|z| self.0.get(z + 1).copied().unwrap_or(beyond.0[0]))),
+            (_, false) => Mask(std::array::from_fn(|z| if z == 0 { beyond.0[7] } else { self.0[z - 1] })),
+        }
     }
 
     /// The set from 64 bytes, with the first cell in the lowest bit of the first byte.
@@ -186,6 +204,26 @@ impl TileMasks {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_lie_beside_their_neighbours_within_a_tile_and_across() {
+        use crate::index::TileIndex;
+        for (axis, is_up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+            for cell in (0..512).step_by(7).chain([0, 511]) {
+                // The neighbour of `place` on this side is `cell`, here or in the next tile.
+                let (here, next) = (TileIndex::default(), TileIndex::default().neighbour(axis, is_up));
+                for (tile, own, beyond) in
+                    [(here, Mask::of(cell), Mask::EMPTY), (next, Mask::EMPTY, Mask::of(cell))]
+                {
+                    let mut at = <[i32; 3]>::from(tile.cell(cell));
+                    at[axis] -= if is_up { 1 } else { -1 };
+                    let (of, place) = crate::index::CellIndex::from(at).tile();
+                    let expected = if of == here { Mask::of(place) } else { Mask::EMPTY };
+                    assert_eq!(own.beside(axis, is_up, beyond), expected, "{axis} {is_up} {cell}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_mask_lists_what_was_put_in() {

@@ -1,7 +1,11 @@
 //! Ray casting: determines the free and occupied cells of a grid from the readings of a range sensor.
 //!
 //! Cells along a ray are free, the cell of its end is occupied, cells beyond stay unchanged. Where rays of one scan
-//! disagree on a cell, occupied wins.
+//! disagree on a cell, occupied wins. A beam without a return frees nothing, unless its sensor is known to mean that
+//! the way is free: dark, shiny and distant surfaces return nothing either.
+//!
+//! A ray that grazes a wall passes cells of the wall just before its end. So the last [`GRAZING_CELLS`] cells of a ray
+//! free no cell that shares a face with a cell in which another ray of the scan ends.
 //!
 //! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, and the number of steps is known
 //! before the first step. The cost of a scan is bounded by its [`CastLimits`]; [`CastError`] reports an excess.
@@ -32,8 +36,12 @@ pub enum Rays {
         angle_min_rad: f64,
         /// Angle from one ray to the next, radians.
         angle_increment_rad: f64,
-        /// Ranges in metres. Infinity: free up to the maximum range. NaN: no reading.
+        /// Ranges in metres. NaN: no reading.
         ranges_m: Vec<f32>,
+        /// The range of the sensor: a beam with this range or more, or with infinity, has no return.
+        sensor_range_m: f32,
+        /// Beams without a return free the cells up to this range; 0: they free nothing.
+        free_range_m: f32,
     },
 }
 
@@ -49,6 +57,9 @@ pub struct Readings {
     /// The rays.
     pub rays: Rays,
 }
+
+/// The length, in cells, of the end of a ray that frees no cell beside the ends of other rays.
+pub const GRAZING_CELLS: f64 = 8.0;
 
 /// Limits of a cast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,14 +128,18 @@ pub fn cast(
                 walk.ray(ray, turn(point), is_hit)?;
             }
         }
-        Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m } => {
+        Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m, sensor_range_m, free_range_m } => {
             for (ray, &range) in ranges_m.iter().enumerate() {
                 let range = f64::from(range);
                 if range.is_nan() || range < min {
                     continue;
                 }
-                let is_hit = range <= max && range < f64::INFINITY;
-                let range = range.min(max);
+                let has_return = range < f64::from(*sensor_range_m);
+                let range = if has_return { range } else { f64::from(*free_range_m) };
+                if !has_return && range <= 0.0 {
+                    continue;
+                }
+                let (is_hit, range) = (has_return && range <= max, range.min(max));
                 let (sin, cos) = libm::sincos(angle_min_rad + ray as f64 * angle_increment_rad);
                 walk.ray(ray, turn([range * cos, range * sin, 0.0]), is_hit)?;
             }
@@ -134,15 +149,32 @@ pub fn cast(
 }
 
 /// The cells of one tile that rays have passed so far.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Tile {
     index: TileIndex,
     free: Mask,
+    /// Cells that rays passed shortly before their ends.
+    grazed: Mask,
+    /// The last cells that rays passed before the cells of their ends.
+    last: Mask,
     occupied: Mask,
 }
 
+/// The parts of a ray that ends in a cell.
+#[derive(Clone, Copy, Debug)]
+enum Part {
+    Way,
+    Grazing,
+    Last,
+}
+
 impl Tile {
-    fn masks(&self) -> TileMasks {
-        TileMasks::clipped(self.free | self.occupied, self.occupied)
+    /// The mask of the cells that this part of rays has passed.
+    fn passed(&mut self, part: Part) -> &mut [u64; 8] {
+        match part {
+            Part::Way => &mut self.free.0,
+            Part::Grazing => &mut self.grazed.0,
+            Part::Last => &mut self.last.0,
+        }
     }
 }

@@ -10,7 +10,7 @@
 
 use tidemap_model::StateSensor;
 
-use crate::spec::SensorNoise;
+use crate::{bins::RayOdds, spec::SensorNoise};
 
 /// Maximum number of sensors of a grid besides the map's own.
 pub const SENSORS_MAX: usize = u8::MAX as usize;
@@ -102,6 +102,7 @@ impl std::ops::MulAssign<f64> for Weights {
 struct Sensor {
     levels: (f64, f64),
     weights: Weights,
+    odds: RayOdds,
 }
 
 /// The sensors of a grid.
@@ -115,7 +116,11 @@ pub struct Sensors {
 impl Sensors {
     /// The sensors of a grid that has only the map's own sensor.
     pub fn new(noise: SensorNoise) -> Sensors {
-        let own = Sensor { levels: noise.levels(), weights: Weights::own(1) };
+        let own = Sensor {
+            levels: noise.levels(),
+            weights: Weights::own(1),
+            odds: RayOdds::new(noise.hit, noise.false_alarm),
+        };
         Sensors { noise, own, others: Vec::new() }
     }
 
@@ -145,7 +150,7 @@ impl Sensors {
             return Err(InvalidSensor::Own { free: own_free, occupied: own_occupied });
         }
         let weights = Weights { alpha: (free - own_free) / unit, beta: (occupied - free) / unit };
-        Ok(Sensor { levels: (free, occupied), weights })
+        Ok(Sensor { levels: (free, occupied), weights, odds: RayOdds::new(hit, false_alarm) })
     }
 
     /// The number of a sensor that some producer has; `None` is the map's own.
@@ -200,6 +205,11 @@ impl Sensors {
     /// The weight of a reading of a sensor in units of the map's own.
     pub fn weights(&self, id: SensorId) -> Weights {
         self.get(id).weights
+    }
+
+    /// The log odds that a scan of a sensor adds to the evidence of a bin.
+    pub(crate) fn odds(&self, id: SensorId) -> RayOdds {
+        self.get(id).odds
     }
 
     /// A value in [0, 1] from units of the map's own sensor.

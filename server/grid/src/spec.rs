@@ -30,6 +30,18 @@ pub struct GridSpec {
     /// A reading this much older than the newest reading of its cell counts half in the nightly model; in nanoseconds,
     /// at least [`HALF_LIFE_MIN_NANOS`], counted in whole local days. `None`: all readings count alike.
     pub half_life_nanos: Option<i64>,
+    /// What counts as one piece of evidence about a cell.
+    pub evidence: Evidence,
+}
+
+/// What counts as one piece of evidence about a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Evidence {
+    /// The readings of a bin of half an hour together (see [`crate::bins`]).
+    #[default]
+    Bins,
+    /// Each reading, as published (T-RO 2017, eq. 10 and 11).
+    Readings,
 }
 
 /// The time for which exact observations are kept. Models do not need them.
@@ -118,6 +130,7 @@ impl GridSpec {
             sensor: SensorNoise::default(),
             retention: Retention::None,
             half_life_nanos: None,
+            evidence: Evidence::default(),
         }
     }
 
@@ -205,6 +218,7 @@ mod tests {
             sensor: SensorNoise::default(),
             retention: Retention::None,
             half_life_nanos: None,
+            evidence: Evidence::default(),
         }
     }
 

@@ -14,12 +14,14 @@ use rayon::prelude::*;
 use tidemap_model::ORDER_MAX;
 
 use crate::{
+    bins::bins_of,
     day::GridDay,
     fold::CHUNK_SCANS_MAX,
     generation::Generation,
     index::TileId,
     outcome::{CellsByOrder, GridOutcome, TileOutcome},
     pace::Pace,
+    spec::Evidence,
     tile::{ModelSlot, SumsSlot, TileData, TileModel, TileSums, TileUnavailable},
 };
 
@@ -105,6 +107,8 @@ impl GridWork {
         let meter = ProgressMeter::new(pace, self.busy_tiles(), &self.days);
         for day in &self.days {
             outcome.scans += day.scans.len() as u64;
+            let binned = (self.rules.evidence == Evidence::Bins).then(|| bins_of(day, &self.rules.sensors));
+            let day = binned.as_ref().unwrap_or(day);
             let (batches, skipped) = tiles.batches(day, &mut outcome.cells_by_order_before)?;
             meter.add(skipped);
             let done: Vec<_> = batches.into_par_iter().map(|batch| batch.run(&self.rules, day, &meter)).collect();

@@ -73,6 +73,10 @@ pub(crate) struct ImportArgs {
     /// Beyond this range a reading only frees the space up to it [default: the limit of the sensor, at most 100]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     max_range: Option<f32>,
+    /// Beams without a return free the space up to this range; only for scanners that return something from every
+    /// surface [default: they free nothing]
+    #[arg(long, value_name = "METRES", value_parser = grid::range)]
+    free_range: Option<f32>,
     /// Nearer readings are left out, such as those of the robot itself [default: the limit of the sensor; of clouds 0]
     #[arg(long, value_name = "METRES", value_parser = grid::range)]
     min_range: Option<f32>,

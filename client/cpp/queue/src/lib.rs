@@ -107,6 +107,8 @@ mod ffi {
             angle_increment_rad: f32,
             min_range_m: f32,
             max_range_m: f32,
+            free_range_m: f32,
+            trusted_range_m: f32,
             ranges_m: &[f32],
         ) -> Reply;
         fn send_cloud(
@@ -266,6 +268,8 @@ impl Queue {
         angle_increment_rad: f32,
         min_range_m: f32,
         max_range_m: f32,
+        free_range_m: f32,
+        trusted_range_m: f32,
         ranges_m: &[f32],
     ) -> Reply {
         let pose = match pose_from(pose) {
@@ -273,7 +277,17 @@ impl Queue {
             Err(reply) => return reply,
         };
         let (frame_id, ranges_m) = (frame_id.to_owned(), ranges_m.to_vec());
-        let scan = RangeScan { pose, frame_id, angle_min_rad, angle_increment_rad, ranges_m, min_range_m, max_range_m };
+        let scan = RangeScan {
+            pose,
+            frame_id,
+            angle_min_rad,
+            angle_increment_rad,
+            ranges_m,
+            min_range_m,
+            max_range_m,
+            free_range_m,
+            trusted_range_m,
+        };
         self.with(|producer| producer.send_scan(time_nanos, Scan::Ranges(scan)))
     }
 

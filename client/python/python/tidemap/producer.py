@@ -109,17 +109,22 @@ class Producer:
         angle_increment_rad: float,
         max_range_m: float,
         min_range_m: float = 0.0,
+        free_range_m: float = 0.0,
+        trusted_range_m: float = 0.0,
         frame_id: str = "",
     ) -> int:
         """Takes a scan of a planar range finder at ``pose`` in the map, and returns its number.
 
-        Angles go counter-clockwise from the x axis of the sensor. Infinity: nothing up to ``max_range_m``; NaN: no
-        reading. Readings nearer than ``min_range_m`` are ignored. ``frame_id`` is the frame of the pose; empty: the
+        Angles go counter-clockwise from the x axis of the sensor. Infinity, and ``max_range_m`` or more: the beam has
+        no return; NaN: no reading. Beams without a return show that the way is free up to ``free_range_m``; with 0 they
+        show nothing. Readings nearer than ``min_range_m`` are ignored; readings farther than ``trusted_range_m`` only
+        show that the way is free up to it (0: all readings count). ``frame_id`` is the frame of the pose; empty: the
         frame of the map.
         """
         nanos, ranges = self._nanos(time), np.ascontiguousarray(ranges_m, dtype=np.float32)
         return self._native.send_ranges(
-            nanos, pose, angle_min_rad, angle_increment_rad, ranges, min_range_m, max_range_m, frame_id
+            nanos, pose, angle_min_rad, angle_increment_rad, ranges, min_range_m, max_range_m, free_range_m,
+            trusted_range_m, frame_id
         )
 
     def send_cloud(

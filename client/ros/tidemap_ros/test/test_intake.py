@@ -98,7 +98,8 @@ def test_limits_of_ranges_are_the_tighter_ones():
     bench.intake.scan("scan", scan(NOW, frame="map"))
     bench.intake.scan("scan", scan(NOW, frame="map", range_min=0.5, range_max=5.0))
     bench.intake.scan("scan", scan(NOW, frame="map", range_max=math.inf))
-    assert [(one.min_range_m, one.max_range_m) for one in bench.taken] == [(0.3, 10.0), (0.5, 5.0), (0.3, 10.0)]
+    assert [(one.min_range_m, one.max_range_m) for one in bench.taken] == [(0.3, 30.0), (0.5, 5.0), (0.3, 10.0)]
+    assert {(one.free_range_m, one.trusted_range_m) for one in bench.taken} == {(0.0, 10.0)}
     without = Bench()
     without.intake.scan("scan", scan(NOW, frame="map", range_max=0.0))
     assert without.intake.counts.reasons == {"malformed": 1} and "max_range" in without.log[0]

@@ -125,14 +125,15 @@ class Intake:
         except arrays.BadMessage as error:
             return self._left_out("malformed", str(error))
         low = max(settings.number("min_range"), _finite(message.range_min, 0.0))
+        trusted = settings.number("max_range")
         high = _finite(message.range_max, 0.0)
-        limit = settings.number("max_range")
-        high = min(high, limit) if high > 0 and limit > 0 else max(high, limit)
+        if high <= 0:
+            high = trusted
         if high <= 0:
             return self._left_out("malformed", f"a scan of {topic} without range_max: set the parameter max_range")
         angles = float(message.angle_min), float(message.angle_increment)
         self._placed(message, stamp, lambda pose: records.Ranges(
-            stamp, pose, settings.text("map_frame"), *angles, low, high, ranges
+            stamp, pose, settings.text("map_frame"), *angles, low, high, settings.number("free_range"), trusted, ranges
         ))
 
     def cloud(self, topic: str, message: Any) -> None:

@@ -76,6 +76,8 @@ def _table() -> tuple[Parameter, ...]:
     add("min_range", 0.0, "nearer readings are ignored, metres; those of a scan's own `range_min` always", 0)
     add("max_range", 0.0, "farther readings only show that the way is free up to here, metres; 0: `range_max` of the "
         "scan, and of clouds the limit of the daemon", 0)
+    add("free_range", 0.0, "beams of scans without a return show that the way is free up to here, metres; 0: they show "
+        "nothing, because dark, shiny and distant surfaces return nothing either", 0)
     add("cloud_min_height", -1e9, "points of clouds below this height in the map are left out, metres")
     add("cloud_max_height", 1e9, "points of clouds above this height in the map are left out, metres")
     add("cloud_cell", 0.0, "one point of a cloud is sent from each cube of this edge, metres; 0: in a cell of the "

@@ -62,7 +62,8 @@ class Queue:
             producer.send_ranges(
                 stated(record.time_nanos), record.pose, record.ranges_m, angle_min_rad=record.angle_min_rad,
                 angle_increment_rad=record.angle_increment_rad, min_range_m=record.min_range_m,
-                max_range_m=record.max_range_m, frame_id=record.frame_id,
+                max_range_m=record.max_range_m, free_range_m=record.free_range_m,
+                trusted_range_m=record.trusted_range_m, frame_id=record.frame_id,
             )
         elif isinstance(record, records.Cloud):
             producer.send_cloud(

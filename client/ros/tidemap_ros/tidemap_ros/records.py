@@ -42,6 +42,8 @@ class Ranges:
     angle_increment_rad: float
     min_range_m: float
     max_range_m: float
+    free_range_m: float
+    trusted_range_m: float
     ranges_m: npt.NDArray[np.float32]
 
 

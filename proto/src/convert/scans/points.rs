@@ -38,7 +38,8 @@ pub(super) fn cloud(spec: &GridSpec, cloud: v1::PointCloud) -> Result<Readings, 
 
 /// Readings of a planar scan.
 pub(super) fn ranges(spec: &GridSpec, scan: v1::RangeScan) -> Result<Readings, ScanRefusal> {
-    let v1::RangeScan { pose, frame_id, angle_min_rad, angle_increment_rad, ranges_m, min_range_m, max_range_m } = scan;
+    let v1::RangeScan { pose, frame_id, angle_min_rad, angle_increment_rad, ranges_m, .. } = scan;
+    let v1::RangeScan { min_range_m, max_range_m, free_range_m, trusted_range_m, .. } = scan;
     let pose = posed(spec, &frame_id, pose)?;
     for (field, angle) in [("angle_min_rad", angle_min_rad), ("angle_increment_rad", angle_increment_rad)] {
         if !angle.is_finite() {
@@ -49,12 +50,19 @@ pub(super) fn ranges(spec: &GridSpec, scan: v1::RangeScan) -> Result<Readings, S
     if !(max_range_m > 0.0 && max_range_m.is_finite()) {
         return Err(ScanRefusal::malformed(format!("max_range_m {max_range_m}: it must be finite and above 0")));
     }
+    for (field, range) in [("free_range_m", free_range_m), ("trusted_range_m", trusted_range_m)] {
+        if !(0.0..f32::INFINITY).contains(&range) {
+            return Err(ScanRefusal::malformed(format!("{field} {range}: it must be finite and at least 0")));
+        }
+    }
     if ranges_m.iter().all(|range| range.is_nan()) {
         return Err(empty(format!("none of the {} ranges is a number", ranges_m.len())));
     }
     let (angle_min_rad, angle_increment_rad) = (f64::from(angle_min_rad), f64::from(angle_increment_rad));
-    let rays = Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m };
-    Ok(Readings { pose, min_range_m, max_range_m: Some(max_range_m), rays })
+    let trusted_m = if trusted_range_m > 0.0 { trusted_range_m.min(max_range_m) } else { max_range_m };
+    let (sensor_range_m, free_range_m) = (max_range_m, free_range_m.min(max_range_m));
+    let rays = Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m, sensor_range_m, free_range_m };
+    Ok(Readings { pose, min_range_m, max_range_m: Some(trusted_m), rays })
 }
 
 fn posed(spec: &GridSpec, frame_id: &str, pose: Option<v1::Pose>) -> Result<Isometry3<f64>, ScanRefusal> {

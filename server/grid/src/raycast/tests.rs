@@ -74,7 +74,8 @@ fn occupied_wins_and_points_may_repeat() {
     let ends = [[3.0, 0.0, 0.0], [6.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
     let (free, occupied) = cast_cells(&unit(), &points(at([0.5; 3]), &ends));
     assert_eq!(occupied, line(&[(3, 0, 0), (6, 0, 0)]));
-    assert_eq!(free, line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0), (4, 0, 0), (5, 0, 0)]));
+    // Cell 4 lies beside the end in cell 3.
+    assert_eq!(free, line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0), (5, 0, 0)]));
 }
 
 #[test]
@@ -87,11 +88,50 @@ fn ranges_bound_what_is_believed() {
     let rays = Rays::Planar {
         angle_min_rad: 0.0,
         angle_increment_rad: std::f64::consts::FRAC_PI_2,
-        ranges_m: vec![1.0, f32::INFINITY, f32::NAN, 0.1, f32::NEG_INFINITY],
+        ranges_m: vec![1.0, 4.0, f32::NAN, 0.1, f32::NEG_INFINITY],
+        sensor_range_m: 5.0,
+        free_range_m: 0.0,
     };
     let (free, occupied) = cast_cells(&unit(), &Readings { rays, ..readings });
     assert_eq!(occupied, line(&[(1, 0, 0)]));
     assert_eq!(free, line(&[(0, 0, 0), (0, 1, 0), (0, 2, 0)]));
+}
+
+#[test]
+fn a_beam_without_a_return_frees_nothing_unless_it_is_known_to() {
+    for no_return in [f32::INFINITY, 5.0, 6.0, f32::MAX] {
+        let seen = |free_range_m, max_range_m| {
+            let (angle_min_rad, angle_increment_rad) = (0.0, std::f64::consts::FRAC_PI_2);
+            let ranges_m = vec![no_return, 1.0];
+            let rays = Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m, sensor_range_m: 5.0, free_range_m };
+            cast_cells(&unit(), &Readings { pose: at([0.5; 3]), min_range_m: 0.0, max_range_m, rays })
+        };
+        let hit = line(&[(0, 1, 0)]);
+        assert_eq!(seen(0.0, Some(5.0)), (line(&[(0, 0, 0)]), hit.clone()));
+        assert_eq!(seen(2.0, None), (line(&[(0, 0, 0), (1, 0, 0), (2, 0, 0)]), hit.clone()));
+        assert_eq!(seen(2.0, Some(1.0)), (line(&[(0, 0, 0), (1, 0, 0)]), hit));
+    }
+}
+
+#[test]
+fn the_end_of_a_ray_frees_no_cell_beside_the_end_of_another() {
+    let grazed = |ends: &[[f32; 3]]| {
+        let (free, occupied) = cast_cells(&unit(), &points(at([0.5; 3]), ends));
+        let on_line: Vec<i32> = free.iter().filter(|(_, y, z)| (*y, *z) == (0, 0)).map(|(x, _, _)| *x).collect();
+        (on_line, occupied)
+    };
+    let other = [10.0, 1.0, 0.0];
+    // The last eight cells of a ray pass the end of another; those before do not count as grazing.
+    let (free, occupied) = grazed(&[[12.0, 0.0, 0.0], other]);
+    assert_eq!(free, (0..12).filter(|x| *x != 10).collect::<Vec<_>>());
+    assert_eq!(occupied, line(&[(12, 0, 0), (10, 1, 0)]));
+    assert_eq!(grazed(&[[19.0, 0.0, 0.0], other]).0, (0..19).collect::<Vec<_>>());
+    // The cell before the end of a ray is free, but not in a corner of ends.
+    assert_eq!(grazed(&[[11.0, 0.0, 0.0]]).0, (0..11).collect::<Vec<_>>());
+    assert_eq!(grazed(&[[11.0, 0.0, 0.0], other]).0, (0..10).collect::<Vec<_>>());
+    // The same beside an end below, in another tile.
+    let (free, _) = grazed(&[[12.0, 0.0, 0.0], [10.0, 0.0, -1.0]]);
+    assert_eq!(free, (0..12).filter(|x| *x != 10).collect::<Vec<_>>());
 }
 
 #[test]
@@ -269,7 +309,7 @@ fn planar_scans_may_believe_very_far() {
     let spec = GridSpec { extent: Some(extent), ..unit() };
     for (max, turn) in [(1e18f32, 1), (1e30, 3), (f32::MAX, 5), (f32::MAX, 7)] {
         let angle_min_rad = f64::from(turn) * std::f64::consts::FRAC_PI_4;
-        let rays = Rays::Planar { angle_min_rad, angle_increment_rad: 0.0, ranges_m: vec![f32::INFINITY] };
+        let rays = Rays::Planar { angle_min_rad, angle_increment_rad: 0.0, ranges_m: vec![f32::INFINITY], sensor_range_m: 1.0, free_range_m: max };
         let readings = Readings { pose: at([0.5; 3]), min_range_m: 0.0, max_range_m: Some(max), rays };
         let sign = |along: f64| if along > 0.0 { 1 } else { -1 };
         check_diagonal(&spec, &readings, [0; 3], [sign(angle_min_rad.cos()), sign(angle_min_rad.sin()), 0]);

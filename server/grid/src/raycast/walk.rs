@@ -5,8 +5,10 @@
 
 use std::{collections::HashMap, hint::select_unpredictable};
 
+use tidemap_model::special::square;
+
 use super::{
-    CastError, CastLimits, Tile,
+    CastError, CastLimits, GRAZING_CELLS, Part, Tile,
     clip::{Clipped, clip},
 };
 use crate::{
@@ -128,9 +130,10 @@ impl<'a> Walk<'a> {
         if self.cells > self.limits.cells {
             return Err(CastError::TooManyCells { max: self.limits.cells });
         }
-        let (tile, place) = self.pass(&clipped, steps)?;
+        let ends_here = is_hit && clipped.is_whole;
+        let (tile, place) = self.pass(&clipped, steps, if ends_here { grazing_steps(&clipped, steps) } else { 0 })?;
         let end = &mut self.tiles[tile];
-        if is_hit && clipped.is_whole {
+        if ends_here {
             end.occupied.insert(place);
         } else {
             end.free.insert(place);
@@ -138,8 +141,9 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Frees the cells of a ray except the last, and returns the last cell as its tile and its place there.
-    fn pass(&mut self, clipped: &Clipped, steps: u64) -> Result<(usize, u16), CastError> {
+    /// Frees the cells of a ray except the last, and returns the last cell as its tile and its place there. The cells
+    /// of the last `grazing` steps are only free where no other ray ends beside them.
+    fn pass(&mut self, clipped: &Clipped, steps: u64, grazing: u64) -> Result<(usize, u16), CastError> {
         let Clipped { from, to, start, end, .. } = *clipped;
         let (index, place) = CellIndex { x: from[0], y: from[1], z: from[2] }.tile();
         let mut tile = self.first_tile(index)?;
@@ -152,23 +156,27 @@ impl<'a> Walk<'a> {
             Borders::new(crossings, border - start[axis], end[axis] - start[axis])
         });
         let (mut next, apart) = ([one.next, two.next, three.next], [one.apart, two.apart, three.apart]);
-        let mut free = &mut self.tiles[tile].free.0;
-        for _ in 0..steps {
-            let real = place ^ mirror;
-            free[(real >> 8 & 7) as usize] |= 1 << (real & 7 | real >> 1 & 0o70);
-            // The code avoids branches: which border comes next is unpredictable.
-            let is_two = next[1] < next[0];
-            let is_three = next[2] < select_unpredictable(is_two, next[1], next[0]);
-            let is = [!is_two & !is_three, is_two & !is_three, is_three];
-            for axis in 0..3 {
-                next[axis] += select_unpredictable(is[axis], apart[axis], 0);
-            }
-            place += select_unpredictable(is_three, 0x100, select_unpredictable(is_two, 0x10, 1));
-            if place & GUARDS != 0 {
-                let axis = (place & GUARDS).trailing_zeros() as usize / 4;
-                place &= !GUARDS;
-                tile = self.neighbour(tile, axis, mirror & FIELDS[axis] == 0)?;
-                free = &mut self.tiles[tile].free.0;
+        let last = grazing.min(1);
+        let parts = [(steps - grazing, Part::Way), (grazing - last, Part::Grazing), (last, Part::Last)];
+        for (count, part) in parts {
+            let mut free = self.tiles[tile].passed(part);
+            for _ in 0..count {
+                let real = place ^ mirror;
+                free[(real >> 8 & 7) as usize] |= 1 << (real & 7 | real >> 1 & 0o70);
+                // The code avoids branches: which border comes next is unpredictable.
+                let is_two = next[1] < next[0];
+                let is_three = next[2] < select_unpredictable(is_two, next[1], next[0]);
+                let is = [!is_two & !is_three, is_two & !is_three, is_three];
+                for axis in 0..3 {
+                    next[axis] += select_unpredictable(is[axis], apart[axis], 0);
+                }
+                place += select_unpredictable(is_three, 0x100, select_unpredictable(is_two, 0x10, 1));
+                if place & GUARDS != 0 {
+                    let axis = (place & GUARDS).trailing_zeros() as usize / 4;
+                    place &= !GUARDS;
+                    tile = self.neighbour(tile, axis, mirror & FIELDS[axis] == 0)?;
+                    free = self.tiles[tile].passed(part);
+                }
             }
         }
         Ok((tile, gather(place ^ mirror)))
@@ -191,13 +199,7 @@ impl<'a> Walk<'a> {
         if known != UNKNOWN {
             return Ok(known as usize);
         }
-        let mut index = self.tiles[tile].index;
-        let along = [&mut index.x, &mut index.y, &mut index.z];
-        let step = if is_up { 1 } else { -1 };
-        for (_, along) in along.into_iter().enumerate().filter(|(crossed, _)| *crossed == axis) {
-            *along += step;
-        }
-        let neighbour = self.tile(index)?;
+        let neighbour = self.tile(self.tiles[tile].index.neighbour(axis, is_up))?;
         self.links[tile][side] = neighbour;
         Ok(neighbour as usize)
     }
@@ -212,15 +214,46 @@ impl<'a> Walk<'a> {
             return Err(CastError::TooManyTiles { max: self.limits.tiles });
         }
         self.ids.insert(index, number);
-        self.tiles.push(Tile { index, free: Mask::EMPTY, occupied: Mask::EMPTY });
+        self.tiles.push(Tile { index, ..Tile::default() });
         self.links.push([UNKNOWN; 6]);
         Ok(number)
     }
 
     /// The tiles with their masks, ascending by tile.
     pub(super) fn into_tiles(self) -> Vec<(TileIndex, TileMasks)> {
-        let mut tiles: Vec<(TileIndex, TileMasks)> = self.tiles.iter().map(|tile| (tile.index, tile.masks())).collect();
+        let mut tiles: Vec<(TileIndex, TileMasks)> =
+            self.tiles.iter().map(|tile| (tile.index, self.masks(tile))).collect();
         tiles.sort_unstable_by_key(|(index, _)| *index);
         tiles
     }
+
+    fn masks(&self, tile: &Tile) -> TileMasks {
+        let mut free = tile.free;
+        if !(tile.grazed | tile.last).without(free).is_empty() {
+            let (beside, beside_two) = self.beside_ends(tile);
+            // A cell before the end of its own ray lies beside that end.
+            free = free | tile.grazed.without(beside) | tile.last.without(beside_two);
+        }
+        TileMasks::clipped(free | tile.occupied, tile.occupied)
+    }
+
+    /// The cells of a tile that share a face with a cell in which a ray ends, and those that share faces with several.
+    fn beside_ends(&self, tile: &Tile) -> (Mask, Mask) {
+        let (mut one, mut several) = (Mask::EMPTY, Mask::EMPTY);
+        for (axis, is_up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+            let neighbour = self.ids.get(&tile.index.neighbour(axis, is_up));
+            let neighbour = neighbour.and_then(|&number| self.tiles.get(number as usize));
+            let beyond = neighbour.map_or(Mask::EMPTY, |neighbour| neighbour.occupied);
+            let beside = tile.occupied.beside(axis, is_up, beyond);
+            several |= one & beside;
+            one |= beside;
+        }
+        (one, several)
+    }
+}
+
+/// The number of steps that the last [`GRAZING_CELLS`] cells of a ray take.
+fn grazing_steps(clipped: &Clipped, steps: u64) -> u64 {
+    let along = (0..3).map(|axis| square(clipped.end[axis] - clipped.start[axis])).sum::<f64>().sqrt();
+    if along <= GRAZING_CELLS { steps } else { ((steps as f64 * GRAZING_CELLS / along).ceil() as u64).min(steps) }
 }

@@ -8,6 +8,7 @@ use super::super::{
     fade::HalfLife,
     fold::CHUNK_SCANS_MAX,
     sensors::{SensorId, Sensors},
+    spec::Evidence,
 };
 
 /// Sizes of the pieces in which an update is done. Results do not depend on them, except for rounding.
@@ -44,6 +45,7 @@ impl Default for UpdateLimits {
 pub(crate) struct Rules {
     pub(crate) periodicities: Periodicities,
     pub(crate) criterion: OrderCriterion,
+    pub(crate) evidence: Evidence,
     pub(crate) sensors: Arc<Sensors>,
     /// The half-life; `None`: all readings count alike.
     pub(crate) half_life: Option<HalfLife>,
@@ -56,11 +58,12 @@ impl Rules {
     pub(crate) fn new(
         periodicities: &Periodicities,
         criterion: OrderCriterion,
+        evidence: Evidence,
         sensors: &Arc<Sensors>,
         half_life: Option<HalfLife>,
     ) -> Rules {
         let (sensors, levels) = (Arc::clone(sensors), sensors.levels(SensorId::OWN));
         let (periodicities, limits) = (periodicities.clone(), UpdateLimits::default());
-        Rules { periodicities, criterion, sensors, half_life, levels, limits }
+        Rules { periodicities, criterion, evidence, sensors, half_life, levels, limits }
     }
 }

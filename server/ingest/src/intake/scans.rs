@@ -111,7 +111,7 @@ impl ScanIntake {
         });
         let tiles = tiles.map_err(|error: CastError| refusal(RefusalReason::Scan, error.to_string()))?;
         if tiles.is_empty() {
-            let detail = "no ray passes the grid's extent, or every reading is nearer than min_range_m";
+            let detail = "no beam has a return within the grid's extent and beyond min_range_m";
             return Err(refusal(RefusalReason::Empty, detail.to_owned()));
         }
         Ok(self.cast_table.show(utc_nanos, &tiles))

@@ -5,7 +5,7 @@
 use prost::Message as _;
 use tidemap_grid::{
     index::{CellBox, CellIndex},
-    spec::{GridSpec, Retention, SensorNoise},
+    spec::{Evidence, GridSpec, Retention, SensorNoise},
 };
 use tidemap_layout::map as layout;
 use tidemap_map::{name::MapName, spec::MapSpec};
@@ -134,6 +134,8 @@ fn decode_grid(message: layout::GridSpec) -> Result<GridSpec, String> {
         },
         retention: decode_retention(message.retention.unwrap_or_default())?,
         half_life_nanos: Some(message.half_life_nanos).filter(|&nanos| nanos != 0),
+        // Only research counts readings.
+        evidence: Evidence::Bins,
     };
     grid.check().map_err(|error| error.to_string())?;
     Ok(grid)

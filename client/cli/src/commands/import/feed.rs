@@ -79,7 +79,7 @@ pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) ->
     let mut reader = Reader {
         converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), options),
         grid: prepared.grid.clone(),
-        ranges: Ranges { min_m: args.min_range, max_m: args.max_range },
+        ranges: Ranges { min_m: args.min_range, max_m: args.max_range, free_m: args.free_range },
         chunk: ImportChunk::default(),
         before: 0,
         printed: HashSet::new(),

@@ -23,6 +23,8 @@ const FREE_PERCENT: i8 = 25;
 pub(super) struct Ranges {
     pub(super) min_m: Option<f32>,
     pub(super) max_m: Option<f32>,
+    /// Beams without a return free the cells up to this range; `None`: they free nothing.
+    pub(super) free_m: Option<f32>,
 }
 
 pub(super) fn range(text: &str) -> Result<f32, String> {
@@ -31,7 +33,7 @@ pub(super) fn range(text: &str) -> Result<f32, String> {
 }
 
 pub(super) fn ranges(scan: PlacedScan, limits: Ranges) -> Scan {
-    let max_range_m = (scan.range_max_m as f32).min(limits.max_m.unwrap_or(RANGE_MAX_M));
+    let max_range_m = (scan.range_max_m as f32).min(RANGE_MAX_M);
     Scan::Ranges(RangeScan {
         pose: scan.pose,
         frame_id: String::new(),
@@ -40,6 +42,8 @@ pub(super) fn ranges(scan: PlacedScan, limits: Ranges) -> Scan {
         ranges_m: scan.ranges_m,
         min_range_m: (scan.range_min_m.max(0.0) as f32).max(limits.min_m.unwrap_or(0.0)).min(max_range_m),
         max_range_m,
+        free_range_m: limits.free_m.unwrap_or(0.0),
+        trusted_range_m: limits.max_m.unwrap_or(0.0),
     })
 }
 

@@ -80,12 +80,14 @@ struct Pose {
   double qx = 0, qy = 0, qz = 0, qw = 1;
 };
 
-// A scan of a planar range finder. Infinity: nothing up to max_range_m; NaN: no reading.
+// A scan of a planar range finder, metres. Infinity, and max_range_m or more: the beam has no return; NaN: no reading.
+// Beams without a return show that the way is free up to free_range_m (0: they show nothing); readings farther than
+// trusted_range_m only show that the way is free up to it (0: all readings count).
 struct RangeScan {
   Pose pose;
   std::string frame_id;  // frame of the pose; empty: the frame of the map
   float angle_min_rad = 0, angle_increment_rad = 0;
-  float min_range_m = 0, max_range_m = 0;
+  float min_range_m = 0, max_range_m = 0, free_range_m = 0, trusted_range_m = 0;
   std::vector<float> ranges_m;
 };
 
@@ -166,7 +168,7 @@ class QueuedProducer {
   std::uint64_t send_ranges(std::int64_t time_nanos, const RangeScan& scan) {
     return checked(queue_->send_ranges(time_nanos, place(scan.pose), text(scan.frame_id), scan.angle_min_rad,
                                        scan.angle_increment_rad, scan.min_range_m, scan.max_range_m,
-                                       slice(scan.ranges_m)));
+                                       scan.free_range_m, scan.trusted_range_m, slice(scan.ranges_m)));
   }
 
   std::uint64_t send_cloud(std::int64_t time_nanos, const PointCloud& cloud) {

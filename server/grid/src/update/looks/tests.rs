@@ -8,7 +8,7 @@ use tidemap_model::{Component, ORDER_MAX, OrderCriterion, ScoreSums, SpectralMod
 use super::{super::rules::UpdateLimits, super::shared_sums::Counted, *};
 use crate::{
     sensors::Sensors,
-    spec::SensorNoise,
+    spec::{Evidence, SensorNoise},
     tests::{HOUR, SECOND},
 };
 
@@ -21,7 +21,7 @@ fn toggles(bits: &[bool]) -> Vec<u32> {
 
 fn rules(chunk_scans: usize) -> Rules {
     let sensors = Arc::new(Sensors::new(SensorNoise::default()));
-    let rules = Rules::new(&Periodicities::default(), OrderCriterion::ZeroOne, &sensors, None);
+    let rules = Rules::new(&Periodicities::default(), OrderCriterion::ZeroOne, Evidence::Readings, &sensors, None);
     Rules { limits: UpdateLimits { chunk_scans, ..UpdateLimits::default() }, ..rules }
 }
 
