@@ -395,6 +395,29 @@ try {
         await isAt('2025-01-21T15:00:00.000Z');
     });
 
+    await check('what no update has learned is shown as last seen, until the page runs the update', async () => {
+        daemon.run('sample', 'recording', join(folder, 'lab'));
+        daemon.run('import', 'lab', join(folder, 'lab', 'robot.mcap'));
+        await page.goto(daemon.http);
+        await page.getByTestId('maps').getByRole('listitem').filter({ hasText: 'Not learned yet: 4,032 observations and 2,016 scans' }).waitFor();
+        await page.goto(`${daemon.http}/states/lab?at=2025-01-15T12:00:00Z`);
+        const value = page.getByTestId('state-value').first();
+        assert.equal(await value.innerText(), 'not learned yet');
+        await page.goto(`${daemon.http}/maps/lab?at=2025-01-15T12:00:00Z`);
+        await page.getByTestId('overview-rows').getByText('not learned yet').first().waitFor();
+        await page.getByTestId('legend-unlearned').getByText('all as last seen').waitFor();
+        const before = await pixels(page);
+        await page.getByTestId('layer').selectOption('seen');
+        await page.getByTestId('legend-unlearned').waitFor({ state: 'detached' });
+        assert.equal(await pixels(page), before);
+        await page.getByTestId('layer').selectOption('probability');
+        await page.getByTestId('learn').click();
+        await page.getByTestId('not-learned').waitFor({ state: 'detached' });
+        assert.equal(JSON.parse(daemon.run('map', 'show', 'lab', '--output', 'json'))[0].pending, 0);
+        await page.getByTestId('legend-unlearned').waitFor({ state: 'detached' });
+        await page.getByTestId('overview-rows').getByText('not learned yet').first().waitFor({ state: 'detached' });
+    });
+
     await check('a flow that no update has learned says so', async () => {
         await page.goto(`${daemon.http}/maps/newhall?at=2025-01-21T09:00:00Z&flow=people`);
         await page.getByRole('alert').getByText('no update has learned any observation of it yet').waitFor();

@@ -2,7 +2,7 @@
 
 import { gain, mark, type Palette } from './colours';
 import { arrowsOf, flowExtent, type FlowLayer } from './flow';
-import type { Frame } from './frames';
+import { learnedCounts, type Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
 /** The place of a grid: its corner and its cells, in metres. */
@@ -68,8 +68,38 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     return sheet;
 }
 
-/** Draws a frame; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
-export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number): void {
+/** Between two lines of the hatching, pixels of the screen. */
+const HATCH_PX = 7;
+
+/** Hatches the columns that no update has learned, within a rectangle of the canvas. */
+function hatch(brush: CanvasRenderingContext2D, frame: Frame, unlearned: Uint8Array, [left, top, width, height]: number[], colour: string, ratio: number): void {
+    const [columns, rows] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
+    const [mask, veil] = [document.createElement('canvas'), document.createElement('canvas')];
+    [mask.width, mask.height, veil.width, veil.height] = [columns, rows, brush.canvas.width, brush.canvas.height];
+    const [stencil, lines] = [mask.getContext('2d'), veil.getContext('2d')];
+    if (!stencil || !lines) return;
+    const marks = new ImageData(columns, rows);
+    for (let row = 0; row < rows; row++) {
+        for (let column = 0; column < columns; column++) {
+            if (unlearned[row * columns + column]) marks.data[4 * ((rows - 1 - row) * columns + column) + 3] = 255;
+        }
+    }
+    stencil.putImageData(marks, 0, 0);
+    lines.strokeStyle = colour;
+    lines.lineWidth = 1.2 * ratio;
+    for (let x = -veil.height; x < veil.width; x += HATCH_PX * ratio) {
+        lines.moveTo(x, veil.height);
+        lines.lineTo(x + veil.height, 0);
+    }
+    lines.stroke();
+    lines.globalCompositeOperation = 'destination-in';
+    lines.imageSmoothingEnabled = false;
+    lines.drawImage(mask, left ?? 0, top ?? 0, width ?? 0, height ?? 0);
+    brush.drawImage(veil, 0, 0);
+}
+
+/** Draws a frame; `hatching` is the colour of the lines over what is not learned where other columns are; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
+export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number, hatching = '#000'): void {
     const brush = canvas.getContext('2d');
     if (!brush) return;
     brush.setTransform(1, 0, 0, 1, 0, 0);
@@ -80,7 +110,9 @@ export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, 
     const top = canvas.height / 2 - (place.originY + frame.maxY * place.resolution - camera.y) * scale;
     brush.imageSmoothingEnabled = place.resolution * scale < 1;
     const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
-    brush.drawImage(sheetOf(frame, palette), left, top, width * place.resolution * scale, height * place.resolution * scale);
+    const box: [number, number, number, number] = [left, top, width * place.resolution * scale, height * place.resolution * scale];
+    brush.drawImage(sheetOf(frame, palette), ...box);
+    if (frame.unlearned && learnedCounts(frame).learned) hatch(brush, frame, frame.unlearned, box, hatching, ratio);
 }
 
 interface Style {

@@ -18,6 +18,8 @@ export class PlanFeed {
     #edges: PredictedEdge[] = $state.raw([]);
     #presence: Map<string, number> = $state.raw(new Map());
     #colour: EdgeColour = $state('success');
+    /** Names of states that no update has learned: what is forecast of them is no more than a prior. */
+    unlearned: ReadonlySet<string> = $state.raw(new Set());
     /** Routes and tours that panels have drawn. */
     paths: PlanPath[] = $state.raw([]);
     problem = $state('');
@@ -75,7 +77,7 @@ export class PlanFeed {
 
     #shownNodes(): PlanNode[] {
         return this.#nodes.map((node) => {
-            const presence = this.#presence.get(node.name);
+            const presence = this.unlearned.has(node.name) ? undefined : this.#presence.get(node.name);
             return presence === undefined ? node : { ...node, presence };
         });
     }
@@ -89,6 +91,10 @@ export class PlanFeed {
             const { from, to } = edge;
             const key = JSON.stringify([from, to].sort());
             const other = both.get(key);
+            if (this.unlearned.has(`edge/${from}/${to}`)) {
+                if (!other) both.set(key, { from, to, title: `${from} – ${to}: not learned yet`, state: `edge/${from}/${to}`, reports: Number(reports), success: 1, secs: 0 });
+                continue;
+            }
             // Two directions are drawn as one line, with the worse value of the two.
             const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;

@@ -61,6 +61,15 @@ suite('a plan', () => {
         ]);
     });
 
+    test('has neither presence nor colours that no update has learned', async () => {
+        const feed = await loaded('success');
+        feed.unlearned = new Set(['lab', 'edge/lab/hall', 'edge/lab/dock']);
+        assert.equal(feed.plan.nodes[1]?.presence, undefined);
+        assert.deepEqual(feed.plan.edges.map(({ share, title }) => [share?.toFixed(2), title]), [
+            ['0.10', 'hall – lab: success 0.90, 10 s'], [undefined, 'lab – dock: not learned yet'],
+        ]);
+    });
+
     test('colours durations as shares of the longest, or nothing', async () => {
         assert.deepEqual((await loaded('duration')).plan.edges.map(({ share }) => share), [0.25, 1]);
         assert.deepEqual((await loaded('none')).plan.edges, []);
