@@ -1,6 +1,6 @@
 // Draws a frame and a plan on canvases.
 
-import { gain, mark, type Palette } from './colours';
+import { amount, gain, occupancy, unknown, type Palette } from './colours';
 import { arrowsOf, flowExtent, type FlowLayer } from './flow';
 import { learnedCounts, type Frame } from './frames';
 import type { Camera, Plan } from './plan';
@@ -11,12 +11,6 @@ export interface GridPlace {
     originY: number;
     resolution: number;
 }
-
-/** Routes and selected elements: blue, which is no colour of a probability. */
-const WAY = '#1a4fa3';
-
-/** The rim around lines, whose colours are made for white, and the ink of lines without a value. */
-const [RIM, INK] = ['#fff', '#17202b'];
 
 /** A name, the middle of its base line, and its width, in pixels. */
 export interface Label {
@@ -118,7 +112,8 @@ export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, 
 interface Style {
     text: string;
     ground: string;
-    accent: string;
+    /** Routes and selected elements: blue, which is no colour of a probability. */
+    way: string;
 }
 
 function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: number, y2: number): void {
@@ -134,12 +129,9 @@ function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: numb
 
 /** The least room for the arrow of a flow: where cells are smaller, some share one. */
 const FLOW_ARROW_PX = 14;
-/** The ground below a flow where there is no grid: white, and less of it at night. */
-const FLOW_GROUND = 'rgb(255 255 255 / 85%)';
-
 type ToScreen = (point: { x: number; y: number }) => [number, number];
 
-function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScreen, scale: number): void {
+function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScreen, scale: number, style: Style): void {
     const { flow, top } = layer;
     const edge = flow.edge * scale;
     /** Whole pixels: half ones would show seams. */
@@ -148,9 +140,8 @@ function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScre
         brush.fillRect(left, high, right - left, bottom - high);
     };
     if (layer.isAlone) {
-        // Shades are made for white.
         const { minX, minY, maxX, maxY } = flowExtent(flow);
-        brush.fillStyle = FLOW_GROUND;
+        brush.fillStyle = style.ground;
         fill(minX, minY, maxX, maxY);
     }
     for (const { column, row, count } of flow.cells) {
@@ -161,7 +152,7 @@ function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScre
     const arrows = arrowsOf(layer, Math.max(1, Math.ceil(FLOW_ARROW_PX / edge)));
     for (const isRim of [true, false]) {
         brush.lineWidth = isRim ? 4 : 1.8;
-        brush.strokeStyle = isRim ? RIM : INK;
+        brush.strokeStyle = isRim ? style.ground : style.text;
         for (const arrow of arrows) {
             const [x, y] = at(arrow);
             // The length is the share of the direction.
@@ -197,7 +188,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fillStyle = gain(square.share);
         brush.fillRect(x - edge / 2, y - edge / 2, edge, edge);
     }
-    if (plan.flow) paintFlow(brush, plan.flow, at, camera.scale);
+    if (plan.flow) paintFlow(brush, plan.flow, at, camera.scale, style);
     const places = new Map(plan.nodes.map((node) => [node.name, node]));
     for (const edge of plan.edges) {
         const [from, to] = [places.get(edge.from), places.get(edge.to)];
@@ -206,15 +197,16 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.beginPath();
             brush.moveTo(...at(from));
             brush.lineTo(...at(to));
-            brush.lineWidth = isRim ? 6 : 3.5;
-            brush.strokeStyle = isRim ? RIM : edge.share === undefined ? INK : mark(edge.share);
-            brush.setLineDash(!isRim && edge.reports === 0 ? [5, 5] : []);
+            // The rim shows a line whose colour is that of the floor.
+            brush.lineWidth = isRim ? 6.5 : 4;
+            brush.strokeStyle = isRim ? style.text : edge.share === undefined ? unknown() : edge.isAmount ? amount(edge.share) : occupancy(edge.share);
+            brush.setLineDash(!isRim && edge.share === undefined ? [7, 5] : []);
             brush.stroke();
         }
     }
     brush.setLineDash([]);
     for (const path of plan.paths) {
-        brush.strokeStyle = brush.fillStyle = WAY;
+        brush.strokeStyle = brush.fillStyle = style.way;
         brush.lineWidth = 3;
         for (let step = 1; step < path.points.length; step++) {
             const [from, to] = [path.points[step - 1], path.points[step]];
@@ -246,10 +238,10 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fill();
         brush.beginPath();
         brush.arc(x, y, isChosen ? 9 : 6.5, 0, 2 * Math.PI);
-        brush.fillStyle = node.presence === undefined ? style.ground : mark(node.presence);
+        brush.fillStyle = node.presence === undefined ? unknown() : occupancy(node.presence);
         brush.fill();
         brush.lineWidth = isChosen ? 3.5 : 2;
-        brush.strokeStyle = isChosen ? WAY : style.text;
+        brush.strokeStyle = isChosen ? style.way : style.text;
         brush.stroke();
     }
     if (camera.scale > 9 || plan.nodes.length < 40) {
@@ -268,9 +260,9 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             const [x, y] = at(point);
             brush.beginPath();
             brush.arc(x, y, 9, 0, 2 * Math.PI);
-            brush.fillStyle = WAY;
+            brush.fillStyle = style.way;
             brush.fill();
-            brush.fillStyle = '#fff';
+            brush.fillStyle = style.ground;
             brush.fillText(point.label, x, y + 4);
         }
     }

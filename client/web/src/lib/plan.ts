@@ -18,8 +18,10 @@ export interface PlanNode {
 export interface PlanEdge {
     from: string;
     to: string;
-    /** The value that its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
+    /** The value that its colour shows, 0 to 1: the probability that it is passed, or with `isAmount` the share of its
+     * duration in the longest one; absent: nothing is known. */
     share?: number;
+    isAmount?: boolean;
     /** Number of reported traversals. */
     reports: number;
     title: string;

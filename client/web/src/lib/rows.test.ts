@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
 import { HOUR } from './civil';
-import { occupancy, UNKNOWN_STYLE } from './colours';
+import { occupancy, unknown } from './colours';
 import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, nameParts, rangeOf, rowColour, ticksOf } from './rows';
 
 const ZONE = 'Europe/Berlin';
@@ -33,7 +33,7 @@ suite('colours', () => {
     });
 
     test('of hours without observations are those of what is unknown', () => {
-        assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), UNKNOWN_STYLE);
+        assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), unknown());
         assert.equal(linePoints([0, Number.NaN, 1], { low: 0, high: 1 }).split(' ').length, 2);
     });
 

@@ -3,7 +3,7 @@
 // Invariant: columns are hours as they pass, so the day of a clock change has 23 or 25.
 
 import { addDays, clock, clockHours, dayName, HOUR, midnight, monday } from './civil';
-import { occupancy, UNKNOWN_STYLE } from './colours';
+import { amount, occupancy, unknown } from './colours';
 
 export type RowSpan = 'day' | 'week';
 
@@ -40,11 +40,9 @@ export function rangeOf(values: number[], isProbability: boolean): { low: number
 
 /** The colour of a value; probabilities have the colours of the map, other values shades of grey. */
 export function rowColour(value: number, { low, high }: { low: number; high: number }, isProbability: boolean): string {
-    if (Number.isNaN(value)) return UNKNOWN_STYLE;
+    if (Number.isNaN(value)) return unknown();
     if (isProbability) return occupancy(value);
-    const share = Math.max(0, Math.min(1, (value - low) / Math.max(1e-12, high - low)));
-    const grey = Math.round(235 - 170 * share);
-    return `rgb(${grey} ${grey + 4} ${Math.min(255, grey + 12)})`;
+    return amount((value - low) / Math.max(1e-12, high - low));
 }
 
 /** Colours side by side, as an image of a style. */

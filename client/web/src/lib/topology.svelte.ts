@@ -100,9 +100,11 @@ export class PlanFeed {
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
             const isWorst = success <= (other?.success ?? 1);
             const state = other && !isWorst ? other.state : `edge/${from}/${to}`;
-            // Darker is worse: less likely to be passed, or longer.
-            const share = this.#colour === 'success' ? 1 - worst : longest / slowest;
-            both.set(key, { from, to, title, share, state, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
+            const isAmount = this.#colour === 'duration';
+            const share = isAmount ? longest / slowest : worst;
+            // The prior of an edge that nobody has reported is no knowledge of it.
+            const isKnown = reports > 0n || (other?.reports ?? 0) > 0;
+            both.set(key, { from, to, title, ...(isKnown ? { share } : {}), ...(isAmount ? { isAmount } : {}), state, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
         }
         return [...both.values()];
     }
