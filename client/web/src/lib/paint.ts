@@ -254,12 +254,30 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         });
         for (const { text, x, y } of apart(labels)) label(text, x, y);
     }
+    for (const { name, x: east, y: north } of plan.marks ?? []) {
+        const [x, y] = at({ x: east, y: north });
+        const size = chosen.includes(name) ? 9 : 7;
+        brush.beginPath();
+        brush.moveTo(x, y - size);
+        for (const [dx, dy] of [[size, 0], [0, size], [-size, 0]] as const) brush.lineTo(x + dx, y + dy);
+        brush.closePath();
+        brush.fillStyle = style.way;
+        brush.fill();
+        brush.lineWidth = 2;
+        brush.strokeStyle = style.ground;
+        brush.stroke();
+    }
+    const marks = (plan.marks ?? []).map((mark) => {
+        const [x, y] = at(mark);
+        return { text: mark.name, x, y: y - 13, width: brush.measureText(mark.name).width + 4 };
+    });
+    for (const { text, x, y } of apart(marks.sort((a, b) => Number(chosen.includes(b.text)) - Number(chosen.includes(a.text))))) label(text, x, y);
     for (const path of plan.paths) {
         for (const point of path.points) {
             if (!point.label) continue;
             const [x, y] = at(point);
             brush.beginPath();
-            brush.arc(x, y, 9, 0, 2 * Math.PI);
+            brush.arc(x, y, Math.max(9, 3 + brush.measureText(point.label).width / 2), 0, 2 * Math.PI);
             brush.fillStyle = style.way;
             brush.fill();
             brush.fillStyle = style.ground;

@@ -96,6 +96,27 @@ export function likelyParts(times: number[], values: number[], end: number): { f
     return parts;
 }
 
+/** The runs of equal text in hours, in words, for those who do not see their colours. */
+function runsText(said: string[], { starts, end }: Columns, name: (ms: number) => string): string {
+    const runs: { text: string; from: number }[] = [];
+    for (const [hour, text] of said.entries()) if (text !== runs.at(-1)?.text) runs.push({ text, from: starts[hour] ?? end });
+    return runs.map(({ text, from }, index) => `${text} ${name(from)} – ${index + 1 < runs.length ? name(runs[index + 1]?.from ?? end) : name(end - 1)}`).join(', ');
+}
+
+/** The hours of a row in words: when a probability is likely 1, which label holds, or the range of a number. */
+export function hoursText(values: number[], columns: Columns, zone: string, isProbability: boolean, labels?: string[]): string {
+    const name = (ms: number) => (columns.span === 'day' ? clock(ms, zone) : `${dayName(ms, zone)} ${clock(ms, zone)}`);
+    if (labels) return runsText(values.map((value) => (Number.isNaN(value) ? 'not observed' : `likely ${labels[value] ?? ''}`)), columns, name);
+    if (isProbability) return runsText(values.map((value) => (Number.isNaN(value) ? 'not observed' : value >= 0.5 ? 'likely 1' : 'likely 0')), columns, name);
+    const known = values.filter(Number.isFinite);
+    if (known.length === 0) return 'not observed';
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const round = (value: number) => Number(value.toPrecision(3));
+    if (round(low) === round(high)) return `${round(low)} throughout`;
+    const at = (value: number) => name(columns.starts[values.indexOf(value)] ?? columns.end);
+    return `from ${round(low)} at ${at(low)} to ${round(high)} at ${at(high)}`;
+}
+
 /** The number of characters at the end of a name that are kept. */
 const TAIL_MOST = 16;
 /** A shorter name is not parted. */

@@ -26,6 +26,8 @@ export class PlanFeed {
     #timer: ReturnType<typeof setTimeout> | undefined;
     readonly #run = oneAtATime();
 
+    /** Whether a place has a position; else places stand on a circle, which has no scale. */
+    hasPositions = $state(false);
     readonly hasNodes = $derived(this.#nodes.length > 0);
     readonly hasPresence = $derived(this.#presence.size > 0);
     readonly plan: Plan = $derived({ nodes: this.#shownNodes(), edges: this.#shownEdges(), paths: [], squares: [] });
@@ -37,7 +39,9 @@ export class PlanFeed {
 
     async load(map: string): Promise<void> {
         try {
-            this.#nodes = placeNodes((await topologies.getTopology({ map })).nodes);
+            const { nodes } = await topologies.getTopology({ map });
+            this.#nodes = placeNodes(nodes);
+            this.hasPositions = nodes.some((node) => node.pose);
             this.problem = '';
         } catch (error) {
             this.problem = message(error);
