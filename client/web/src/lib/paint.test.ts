@@ -106,7 +106,7 @@ suite('a frame', () => {
 });
 
 suite('a plan', () => {
-    const style = { text: 'text', ground: 'ground', way: 'way' };
+    const style = { text: 'text', ground: 'ground', soft: 'soft', way: 'way' };
     const nodes = [{ name: 'hall', x: 0, y: 0 }, { name: 'lab', x: 3, y: 2, presence: 0.5 }];
     const empty: Plan = { nodes: [], edges: [], paths: [], squares: [] };
 
@@ -139,7 +139,7 @@ suite('a plan', () => {
         const edge = { from: 'hall', to: 'lab', title: '', state: 'edge/a/b' };
         paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }, { ...edge, share: 0.25, isAmount: true, reports: 3 }] });
         const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 4).map(({ brush }) => brush.strokeStyle);
-        assert.deepEqual(lines, [occupancy(0.25), unknown(), amount(0.25)]);
+        assert.deepEqual(lines, [occupancy(0.25), 'soft', amount(0.25)]);
         assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0, 0, 0]);
         assert.deepEqual([canvas.named('moveTo')[0]?.values, canvas.named('lineTo')[0]?.values], [[100, 50], [130, 30]]);
     });

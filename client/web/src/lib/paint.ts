@@ -112,6 +112,8 @@ export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, 
 interface Style {
     text: string;
     ground: string;
+    /** Edges of which nothing is known. */
+    soft: string;
     /** Routes and selected elements: blue, which is no colour of a probability. */
     way: string;
 }
@@ -199,8 +201,9 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.lineTo(...at(to));
             // The rim shows a line whose colour is that of the floor.
             brush.lineWidth = isRim ? 6.5 : 4;
-            brush.strokeStyle = isRim ? style.text : edge.share === undefined ? unknown() : edge.isAmount ? amount(edge.share) : occupancy(edge.share);
-            brush.setLineDash(!isRim && edge.share === undefined ? [7, 5] : []);
+            const isUnknown = edge.share === undefined;
+            brush.strokeStyle = isRim ? (isUnknown ? style.ground : style.text) : edge.share === undefined ? style.soft : edge.isAmount ? amount(edge.share) : occupancy(edge.share);
+            brush.setLineDash(!isRim && isUnknown ? [7, 5] : []);
             brush.stroke();
         }
     }
