@@ -23,7 +23,8 @@ const STEP_MS = 5 * MINUTE;
 /** The time that a view opens at: now, or the time of the newest data if it is older than a day. */
 export function openingTime(newest: number | undefined, now: number): number {
     const at = newest !== undefined && now - newest > DAY ? newest : now;
-    return Math.floor(at / STEP_MS) * STEP_MS;
+    // A simulated clock begins in 1970, and its first instant is no time of the daemon.
+    return Math.max(MINUTE, Math.floor(at / STEP_MS) * STEP_MS);
 }
 
 /** A map with at most this many states that robots named shows their weeks. */
