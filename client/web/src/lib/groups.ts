@@ -35,7 +35,8 @@ export function meaningOf(prefix: string): string {
     return MEANINGS[prefix] ?? '';
 }
 
-/** The rows of a list. `open` has the groups that were opened or closed by hand; the group of a chosen state is open. */
+/** The rows of a list. `open` has the groups that were opened or closed by hand; the group of a chosen state is
+ * open. */
 export function rowsOf(states: State[], open: ReadonlyMap<string, boolean>, chosen: string[], isFolded: boolean): Row[] {
     if (!isFolded || states.length <= WHOLE_MOST) return states.map((state) => ({ state }));
     const counts = new Map<string, number>();

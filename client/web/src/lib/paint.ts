@@ -92,7 +92,8 @@ function hatch(brush: CanvasRenderingContext2D, frame: Frame, unlearned: Uint8Ar
     brush.drawImage(veil, 0, 0);
 }
 
-/** Draws a frame; `hatching` is the colour of the lines over what is not learned where other columns are; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
+/** Draws a frame. `hatching` is the colour of the lines over what is not learned, where other columns are; `ratio` is
+ * the number of pixels of the canvas for one pixel of the screen. */
 export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number, hatching = '#000'): void {
     const brush = canvas.getContext('2d');
     if (!brush) return;

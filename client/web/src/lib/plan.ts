@@ -80,7 +80,7 @@ export function around(one: Extent | undefined, other: Extent | undefined): Exte
 /** The element at a point of the map. */
 export type Found = { node: PlanNode } | { edge: PlanEdge } | { mark: PlanMark } | undefined;
 
-/** The node or the edge at a point, in metres, if one is near enough: positions before nodes, and nodes before edges. */
+/** The element at a point, in metres, if one is near enough: positions before nodes, and nodes before edges. */
 export function planAt(plan: Plan, x: number, y: number, nearNodeM: number, nearEdgeM: number): Found {
     const distance = (node: { x: number; y: number }) => Math.hypot(node.x - x, node.y - y);
     const [mark] = (plan.marks ?? []).filter((one) => distance(one) < nearNodeM).sort((a, b) => distance(a) - distance(b));

@@ -11,8 +11,8 @@ export const TILE = 8;
 /** A cell that was seen, and that no update has learned. */
 const UNLEARNED = 0.5;
 
-/** Gives each known cell of a tile to `take`: its place, x fastest, then y, then z, its value, and whether an update has
- * learned it. */
+/** Gives each known cell of a tile to `take`: its place, x fastest, then y, then z, its value, and whether an update
+ * has learned it. */
 export function eachCell(tile: PredictedTile, take: (place: number, value: number, isLearned: boolean) => void): void {
     const { known, changed, high, values, allValues, staticLow, staticHigh } = tile;
     let next = 0;
