@@ -51,4 +51,4 @@ fn the_page_shows_an_office_in_a_browser() {
 }
 
 /// Number of checks that the script makes.
-const CHECKS: usize = 33;
+const CHECKS: usize = 38;

@@ -9,6 +9,7 @@ import assert from 'node:assert/strict';
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 
+import { contacts, doors, halls, works } from './maps.mjs';
 import { Daemon, dropped, launch, open, pixels, slideTo } from './stage.mjs';
 import { lookAtViews, violations } from './views.mjs';
 
@@ -27,70 +28,6 @@ async function check(what, body) {
         throw new Error(`${what}: ${error.message}`, { cause: error });
     }
     console.log(`ok  ${what}`);
-}
-
-/** Makes a map of 30 doors: each is open at an hour of its own, and door-13 was open in a night, too. */
-function doors() {
-    const rows = ['time,state,value'];
-    const start = Date.UTC(2025, 1, 24);
-    for (let slot = 0; slot < 18 * 48 + 47; slot++) {
-        const [time, hour, day] = [new Date(start + slot * 1_800_000).toISOString(), (slot % 48) / 2, Math.floor(slot / 48)];
-        for (let door = 0; door < 30; door++) {
-            const isOpen = hour >= 5 + (door % 12) && hour < 9 + (door % 12);
-            const isNight = door === 13 && day === 15 && hour < 5;
-            rows.push(`${time},door-${String(door).padStart(2, '0')},${Number(isOpen || isNight)}`);
-        }
-    }
-    const file = join(folder, 'doors.csv');
-    writeFileSync(file, `${rows.join('\n')}\n`);
-    daemon.run('map', 'create', 'doors', '--time-zone', 'UTC');
-    daemon.run('observe', 'doors', file, '--producer', 'hub', '--nightly');
-    daemon.run('update', 'doors');
-}
-
-/** Makes a map of a contact that reports changes, open from 9 to 17, and of a light barrier, with 4 events at 8. */
-function contacts() {
-    const [changes, events] = [['time,state,value'], ['time,state']];
-    for (let day = 0; day < 22; day++) {
-        const at = (hour, minute = 0) => new Date(Date.UTC(2025, 2, 3 + day, hour, minute)).toISOString();
-        if (day % 7 < 5) changes.push(`${at(9)},contact,1`, `${at(17)},contact,0`);
-        changes.push(`${at(12)},hub,1`);
-        // The contact knows nothing from Thursday of the third week on, until Friday.
-        if (day === 17) changes.push(`${at(12, 30)},contact,unavailable`);
-        for (let event = 0; event < 4; event++) events.push(`${at(8, event * 10)},gate`);
-    }
-    const files = { changes, events };
-    daemon.run('map', 'create', 'contacts', '--time-zone', 'UTC');
-    for (const [kind, rows] of Object.entries(files)) {
-        const file = join(folder, `${kind}.csv`);
-        writeFileSync(file, `${rows.join('\n')}\n`);
-        daemon.run('observe', 'contacts', file, '--producer', kind, `--${kind}`);
-    }
-    daemon.run('update', 'contacts');
-}
-
-// Makes a map of a corridor where people walk from 7 to 19, east before noon and west after, and a map that has not
-// learned it.
-function halls() {
-    const [people, heading] = [['time,state,x,y'], ['time,state,value']];
-    for (let walk = 0; walk < 14 * 144; walk++) {
-        const [slot, start] = [walk % 144, Date.UTC(2025, 0, 6) / 1000 + walk * 600];
-        if (slot < 42 || slot >= 114) continue;
-        for (let step = 0; step < 12; step++) {
-            people.push(`${start + step},people,${(slot < 72 ? step : 11 - step) + 0.5},2.5`);
-            heading.push(`${start + step},heading,${slot < 72 ? 0.1 : 3.1}`);
-        }
-    }
-    for (const map of ['hall', 'newhall']) {
-        daemon.run('map', 'create', map, '--time-zone', 'UTC');
-        daemon.run('state', 'add', map, 'heading', '--kind', 'angle');
-        for (const [label, rows] of Object.entries({ people, heading })) {
-            const file = join(folder, `${label}.csv`);
-            writeFileSync(file, `${rows.join('\n')}\n`);
-            daemon.run('observe', map, file, '--producer', 'camera', '--label', label);
-        }
-    }
-    daemon.run('update', 'hall');
 }
 
 try {
@@ -114,7 +51,7 @@ try {
     });
 
     await check('a map without a grid opens on its states: the unusual one, and what changes soon', async () => {
-        doors();
+        doors(daemon, folder);
         await page.goto(`${daemon.http}/maps/doors`);
         const rows = page.getByTestId('overview-rows');
         await rows.getByText('door-07', { exact: true }).waitFor();
@@ -341,7 +278,7 @@ try {
     });
 
     await check('rows of changes and events are shown as what they stand for', async () => {
-        contacts();
+        contacts(daemon, folder);
         await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T10:00:00Z&select=contact`);
         const text = (name) => page.getByTestId(name).innerText();
         await page.getByTestId('state-week').locator('canvas').waitFor();
@@ -352,7 +289,7 @@ try {
         await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T14:00:00Z&select=contact`);
         await page.getByText('There was no value then.').waitFor();
         // The hours of the strip: all of 10:00, half of 12:00, then nothing.
-        await page.goto(`${daemon.http}/maps/contacts?at=2025-03-20T10:00:00Z&hours=observed`);
+        await page.goto(`${daemon.http}/maps/contacts?at=2025-03-20T10:00:00Z&rows=day&hours=observed`);
         await page.getByLabel('Search states').fill('contact');
         await page.getByTitle('Save the rows as a file').click();
         const coming = page.waitForEvent('download');
@@ -366,8 +303,79 @@ try {
         await page.getByTestId('state-week').getByText('28 events, drawn as steps').waitFor();
     });
 
+    await check('a map of few states opens on a week, at an hour when something changes', async () => {
+        await page.goto(`${daemon.http}/maps/contacts`);
+        await page.getByTestId('overview-rows').getByText('contact', { exact: true }).waitFor();
+        assert.equal(await page.getByTestId('rows').inputValue(), 'week');
+        assert.match(await page.getByTestId('time-text').innerText(), /^Mon 24 Mar 2025, (08|09|16|17):[03]0$/);
+        // The hours in words, for those who do not see them.
+        await page.getByRole('img', { name: /^likely 0 Mon 24 Mar 00:00 – Mon 24 Mar 09:00, likely 1 / }).waitFor();
+    });
+
+    await check('labels, tasks and the plan of a day are shown, and places without positions have no scale', async () => {
+        works(daemon, folder);
+        await page.goto(`${daemon.http}/maps/depot?at=2025-01-14T12:30:00Z`);
+        const rows = page.getByTestId('overview-rows');
+        await rows.getByText('eat', { exact: true }).waitFor();
+        await rows.getByRole('img', { name: /^likely sleep 00:00 – 07:00, likely work 07:00 – 12:00, likely eat 12:00 – 13:00/ }).waitFor();
+        await page.getByTestId('map-canvas').hover();
+        assert.equal(await page.locator('.scale .bar').count(), 0);
+        await page.getByTestId('tasks-toggle').click();
+        await page.getByTestId('plan').getByText('inspect at Lab').waitFor();
+        await page.getByTestId('task-list').getByText('08:00–18:00, Mon–Fri').waitFor();
+        assert.equal(await page.getByRole('alert').count(), 0);
+        await page.goto(`${daemon.http}/maps/depot?at=2025-01-15T12:30:00Z&tool=tasks`);
+        await page.getByText('No plan of this day was kept.').waitFor();
+        await page.goto(`${daemon.http}/states/depot?at=2025-01-14T12:30:00Z&select=activity`);
+        await page.getByTestId('today').getByText('likely sleep 00:00 – 07:00, work 07:00 – 12:00, eat 12:00 – 13:00').waitFor();
+        await page.getByTestId('state-week').getByText('observations', { exact: false }).first().waitFor();
+        await page.getByTestId('heat-strip').getByText('work').waitFor();
+        assert.equal(await page.getByRole('alert').count(), 0);
+        // A position is told and drawn in metres.
+        await page.goto(`${daemon.http}/maps/yard?at=2025-01-14T12:30:00Z&select=robot`);
+        await page.getByTestId('state-value').first().getByText('x 2.00 m').waitFor();
+        await page.getByTestId('legend').getByText('where something is expected').waitFor({ state: 'attached' });
+        assert.equal(await page.getByRole('alert').count(), 0);
+    });
+
+    await check('rows of a kind are folded, and the list can be skipped', async () => {
+        await page.goto(`${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&list=1`);
+        const group = page.getByTestId('overview').getByTestId('group').filter({ hasText: 'edge/' });
+        await group.waitFor();
+        assert.equal(await group.getAttribute('aria-expanded'), 'false');
+        const edge = page.getByTestId('overview-rows').getByTitle('edge/corridor-1/corridor-2');
+        assert.equal(await edge.count(), 0);
+        await group.click();
+        await edge.waitFor();
+        await group.click();
+        await edge.waitFor({ state: 'detached' });
+        const skip = page.getByTestId('overview').getByRole('button', { name: 'Skip the list' });
+        await skip.focus();
+        await page.keyboard.press('Enter');
+        await page.keyboard.press('Tab');
+        assert.equal(await page.evaluate(() => document.activeElement?.closest('[data-testid=overview-rows]')), null);
+        assert.notEqual(await page.evaluate(() => document.activeElement?.tagName), 'BODY');
+    });
+
+    await check('a dark page has a dark map, with the same order of colours in rows and legend', async () => {
+        const dark = await open(browser, `${daemon.http}/maps/office?at=2025-03-18T03:00:00Z&list=0`, { colorScheme: 'dark' });
+        await dark.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(3));
+        const brightness = (page) => page.getByTestId('map-canvas').evaluate((canvas) => {
+            const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+            let sum = 0;
+            for (let index = 0; index < data.length; index += 4) sum += (data[index + 3] / 255) * data[index + 1];
+            return sum / (data.length / 4);
+        });
+        await page.goto(tuesday);
+        await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(3));
+        assert.ok((await brightness(dark)) < 0.5 * (await brightness(page)));
+        assert.match(await dark.getByTestId('legend').locator('.colours').first().getAttribute('style'), /right, rgb\(0,? 0,? 0\)/);
+        assert.deepEqual(dark.problems, []);
+        await dark.context().close();
+    });
+
     await check('a flow of people is drawn, follows the clock, and is that of the command line', async () => {
-        halls();
+        halls(daemon, folder);
         await page.goto(`${daemon.http}/maps/hall?at=2025-01-21T09:00:00Z`);
         await page.getByTestId('flow').selectOption('people');
         assert.equal(await page.getByTestId('motion').inputValue(), 'heading');
@@ -393,6 +401,29 @@ try {
         await page.waitForURL(({ searchParams }) => searchParams.get('flow') === 'people' && searchParams.get('at')?.startsWith('2025-01-21T15'));
         await page.reload();
         await isAt('2025-01-21T15:00:00.000Z');
+    });
+
+    await check('what no update has learned is shown as last seen, until the page runs the update', async () => {
+        daemon.run('sample', 'recording', join(folder, 'lab'));
+        daemon.run('import', 'lab', join(folder, 'lab', 'robot.mcap'));
+        await page.goto(daemon.http);
+        await page.getByTestId('maps').getByRole('listitem').filter({ hasText: 'Not learned yet: 4,032 observations and 2,016 scans' }).waitFor();
+        await page.goto(`${daemon.http}/states/lab?at=2025-01-15T12:00:00Z`);
+        const value = page.getByTestId('state-value').first();
+        assert.equal(await value.innerText(), 'not learned yet');
+        await page.goto(`${daemon.http}/maps/lab?at=2025-01-15T12:00:00Z`);
+        await page.getByTestId('overview-rows').getByText('not learned yet').first().waitFor();
+        await page.getByTestId('legend-unlearned').getByText('all as last seen').waitFor();
+        const before = await pixels(page);
+        await page.getByTestId('layer').selectOption('seen');
+        await page.getByTestId('legend-unlearned').waitFor({ state: 'detached' });
+        assert.equal(await pixels(page), before);
+        await page.getByTestId('layer').selectOption('probability');
+        await page.getByTestId('learn').click();
+        await page.getByTestId('not-learned').waitFor({ state: 'detached' });
+        assert.equal(JSON.parse(daemon.run('map', 'show', 'lab', '--output', 'json'))[0].pending, 0);
+        await page.getByTestId('legend-unlearned').waitFor({ state: 'detached' });
+        await page.getByTestId('overview-rows').getByText('not learned yet').first().waitFor({ state: 'detached' });
     });
 
     await check('a flow that no update has learned says so', async () => {

@@ -3,8 +3,9 @@
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
-import { colourOf, entropyBits, FULL, gradient, levelsOf, mark, markColour, occupancy, paletteOf, SURE, UNKNOWN, type Layer } from './colours';
+import { colourOf, entropyBits, FULL, gradient, levelsOf, occupancy, paletteOf, unknown, SURE, UNKNOWN, type Layer } from './colours';
 import { SAMPLES } from './palette';
+import { onPaper, setDark } from './scheme.svelte';
 
 const LAYERS: Layer[] = ['probability', 'entropy', 'difference', 'seen'];
 
@@ -21,13 +22,25 @@ suite('colours', () => {
                 assert.deepEqual(colourOf(layer, value, beneath), colour, `${layer} ${value} over ${beneath}`);
             }
         }
-        for (const [value, , colour] of SAMPLES.mark) assert.deepEqual(markColour(value), colour, `mark ${value}`);
     });
 
     test('of styles are clamped to the ends', () => {
         assert.deepEqual([-3, 0, 1, 3].map(occupancy), ['rgb(255 255 255)', 'rgb(255 255 255)', 'rgb(0 0 0)', 'rgb(0 0 0)']);
-        assert.deepEqual([mark(-3), mark(3)], [mark(0), mark(1)]);
         assert.equal(occupancy(Number.NaN), 'rgb(255 255 255)');
+    });
+});
+
+suite('a dark ground', () => {
+    test('has the same colours in the other order, and an unknown grey of its own', () => {
+        const light = [0, 0.25, 0.5, 1].map(occupancy);
+        const grey = unknown();
+        setDark(true);
+        assert.deepEqual([1, 0.75, 0.5, 0].map(occupancy), light);
+        assert.deepEqual([0, FULL].map((cell) => entry('probability', cell)), [[0, 0, 0, 255], [255, 255, 255, 255]]);
+        assert.ok(![occupancy(0), occupancy(1), grey].includes(unknown()));
+        // Files are for white paper.
+        assert.equal(onPaper(() => occupancy(1)), 'rgb(0 0 0)');
+        setDark(false);
     });
 });
 

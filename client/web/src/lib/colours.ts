@@ -1,9 +1,14 @@
 // The painter of the page: the same colours by the same rule as all pictures of the daemon and the command line.
 //
-// Invariant: a cell at the map's free level is white or nearly so in every layer, one at its occupied level black or
-// nearly so, and an unknown one grey. Cells are bytes: 255 is unknown, 0 to 254 are probabilities from 0 to 1.
+// Invariant: a colour means one probability that something is 1, wherever it is: a cell, an edge, a place, an hour of a
+// row. On a light ground 0 is white and 1 is black; on a dark ground the same colours are in the other order. What is
+// unknown is grey. Cells are bytes: 255 is unknown, 0 to 254 are probabilities from 0 to 1.
 
-import { FREER, FULLER, MARKS, MUTED, OCCUPANCY, UNCERTAIN, UNKNOWN_COLOUR, type Colour } from './palette';
+import { FREER, FULLER, MUTED, OCCUPANCY, UNCERTAIN, UNKNOWN_COLOUR, type Colour } from './palette';
+import { isDark } from './scheme.svelte';
+
+/** The colour of unknown values on a dark ground. */
+const UNKNOWN_DARK: Colour = [66, 73, 82];
 
 /** The byte of a cell that is not known. */
 export const UNKNOWN = 255;
@@ -43,7 +48,7 @@ function blend(from: Colour, to: Colour, share: number): Colour {
 const within = (value: number) => Math.max(0, Math.min(1, value || 0));
 
 function mix(stops: Colour[], share: number): Colour {
-    const at = within(share) * (stops.length - 1);
+    const at = within(isDark() ? 1 - within(share) : share) * (stops.length - 1);
     const low = Math.min(stops.length - 2, Math.floor(at));
     return blend(stops[low] ?? UNKNOWN_COLOUR, stops[low + 1] ?? UNKNOWN_COLOUR, at - low);
 }
@@ -63,25 +68,23 @@ export function colourOf(layer: Layer, value: number, beneath: number): Colour {
     return mix(OCCUPANCY, beneath);
 }
 
-/** The colour of a line or a disc on white for a value from 0 to 1; the greater, the darker. */
-export function markColour(value: number): Colour {
-    return mix(OCCUPANCY, MARKS[0] + (MARKS[1] - MARKS[0]) * within(value));
-}
-
 const style = (colour: Colour) => `rgb(${colour.join(' ')})`;
 
-/** The colour of {@link markColour}, for styles. */
-export function mark(value: number): string {
-    return style(markColour(value));
-}
-
-/** The colour of a probability, or of the share of another value in its range, for styles. */
+/** The colour of a probability, for styles. */
 export function occupancy(value: number): string {
     return style(mix(OCCUPANCY, value));
 }
 
+/** The colour of the share of a number in its range, for styles: no colour of a probability. */
+export function amount(share: number): string {
+    const grey = Math.round(235 - 170 * (isDark() ? 1 - within(share) : within(share)));
+    return style([grey, grey + 4, Math.min(255, grey + 12)]);
+}
+
+const unknownColour = () => (isDark() ? UNKNOWN_DARK : UNKNOWN_COLOUR);
+
 /** The colour of unknown values, for styles. */
-export const UNKNOWN_STYLE = style(UNKNOWN_COLOUR);
+export const unknown = () => style(unknownColour());
 
 function pixel([red, green, blue]: Colour): number {
     return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
@@ -93,7 +96,7 @@ function valueOf(layer: Layer, now: number, before: number): number {
 }
 
 function paint(layer: Layer, { free, occupied }: Levels, now: number, before: number): number {
-    if (now === UNKNOWN || before === UNKNOWN) return pixel(UNKNOWN_COLOUR);
+    if (now === UNKNOWN || before === UNKNOWN) return pixel(unknownColour());
     // Levels as bytes have them, so that what never changes is white or black.
     const [low, high] = [Math.round(free * FULL), Math.round(occupied * FULL)];
     return pixel(colourOf(layer, valueOf(layer, now / FULL, before / FULL), (now - low) / (high - low)));
@@ -107,7 +110,12 @@ export function paletteOf(layer: Layer, levels: Levels): Palette {
 
 /** The colour of an information gain, over the map, for styles; the greatest gain is 1. */
 export function gain(value: number): string {
-    return `rgb(26 79 163 / ${(0.08 + 0.72 * within(value)).toFixed(3)})`;
+    return `rgb(${isDark() ? '107 171 255' : '26 79 163'} / ${(0.08 + 0.72 * within(value)).toFixed(3)})`;
+}
+
+/** The colours of a number from the least to the greatest, as a gradient for a legend. */
+export function amounts(): string {
+    return `linear-gradient(to right, ${amount(0)}, ${amount(1)})`;
 }
 
 /** The colours of a layer from its lowest value to its highest over free cells, as a gradient for a legend. */

@@ -74,8 +74,8 @@ suite('a feed', () => {
         old?.answer(1);
         await settle();
         assert.equal(shown(), undefined);
-        await answer(1000, 0.5);
-        assert.equal(shown(), 127);
+        await answer(1000, 0.25);
+        assert.equal(shown(), 64);
     });
 
     test('shows the difference from a base time, once both are here', async () => {
@@ -83,8 +83,8 @@ suite('a feed', () => {
         feed.show(1000);
         await answer(1000, 1);
         assert.equal(shown(), undefined);
-        await answer(9000, 0.5);
-        assert.deepEqual([shown(), feed.frame?.before?.[0]], [254, 127]);
+        await answer(9000, 0.25);
+        assert.deepEqual([shown(), feed.frame?.before?.[0]], [254, 64]);
     });
 
     test('shows a time between two frames only if both are here', async () => {

@@ -8,7 +8,7 @@ import { create, type MessageInitShape } from '@bufbuild/protobuf';
 import { PredictGridResponseSchema, type PredictedTileSchema } from '../wire/tidemap/v1/query_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { FULL, UNKNOWN } from './colours';
-import { blend, comingFrames, frameAt, gridHeader, keptFrame, valueAt, type Frame, type GridQuery } from './frames';
+import { blend, comingFrames, frameAt, gridHeader, keptFrame, learnedCounts, valueAt, type Frame, type GridQuery } from './frames';
 import { queries } from './rpc.svelte';
 
 type Tile = MessageInitShape<typeof PredictedTileSchema>;
@@ -65,6 +65,35 @@ suite('tiles', () => {
         };
         answer([tile]);
         assert.deepEqual(known(await frameAt(query(), 0)), [[0, 0, 127], [2, 0, FULL]]);
+    });
+
+    test('that no update has learned are as last seen, and marked', async () => {
+        // Places 0 to 3 are known. The forecast of 0 and 2 is one half, and 2 has changed: only 0 was never learned.
+        const forecast = { x: 0, y: 0, known: bytes(0b1111), changed: bytes(0b0100), values: [0.5, 1, 0.5, 0.25], allValues: true };
+        const seen = { x: 0, y: 0, known: bytes(0b1111), changed: bytes(0b0100), high: bytes(0b0001), staticHigh: 1, staticLow: 0, values: [1] };
+        const asked: Request[] = [];
+        mock.method(queries, 'predictGrid', async function* (request: Request) {
+            asked.push(request);
+            await Promise.resolve();
+            const tiles = [request.model?.kind === ModelKind.LATEST ? seen : forecast];
+            yield create(PredictGridResponseSchema, { message: { case: 'page', value: { tiles } } });
+        });
+        const mixed = query();
+        const found = await frameAt(mixed, 0);
+        assert.deepEqual(known(found), [[0, 0, FULL], [1, 0, FULL], [2, 0, 127], [3, 0, 64]]);
+        assert.deepEqual([asked.length, learnedCounts(found)], [2, { unlearned: 1, learned: 3 }]);
+        // The uncertainty of what was not learned is that of one half.
+        const bare = await frameAt({ ...mixed, isBare: true }, 0);
+        assert.deepEqual([known(bare)[0], bare.unlearned?.[0]], [[0, 0, 127], 1]);
+        // Another time has the same last readings.
+        await frameAt(mixed, 1000);
+        assert.equal(asked.length, 4);
+    });
+
+    test('that are all learned need one request, and have no marks', async () => {
+        const asked = answer([{ x: 0, y: 0, known: bytes(0b11), values: [0.25, 1], allValues: true }]);
+        const found = await frameAt(query(), 0);
+        assert.deepEqual([asked.length, found.unlearned, learnedCounts(found)], [1, undefined, { unlearned: 0, learned: 2 }]);
     });
 
     test('are clipped to the window, and each lies at its place', async () => {

@@ -29,6 +29,8 @@ export interface GridQuery {
     maxZ: number;
     /** The last readings instead of a forecast. */
     isLatest: boolean;
+    /** Whether columns that no update has learned keep their forecast of one half; else they are as last seen. */
+    isBare?: boolean;
     /** Changes when there is something new to show. */
     generation: string;
 }
@@ -38,28 +40,47 @@ export interface Frame extends Window2d {
     cells: Uint8Array;
     /** The cells of another time, to show the difference from it. */
     before?: Uint8Array;
+    /** 1 at the columns that no update has learned; absent: there are none. */
+    unlearned?: Uint8Array;
+}
+
+/** The numbers of columns of a frame that no update has learned, and of those that one has. */
+export function learnedCounts({ cells, unlearned }: Frame): { unlearned: number; learned: number } {
+    let [without, known] = [0, 0];
+    for (const cell of cells) if (cell !== UNKNOWN) known++;
+    for (const mark of unlearned ?? []) without += mark;
+    return { unlearned: without, learned: known - without };
 }
 
 function keyOf(query: GridQuery, ms: number): string {
-    const { map, window: at, minZ, maxZ, isLatest, generation } = query;
-    return JSON.stringify([map, at.minX, at.minY, at.maxX, at.maxY, minZ, maxZ, isLatest, generation, isLatest ? 0 : ms]);
+    const { map, window: at, minZ, maxZ, isLatest, isBare, generation } = query;
+    return JSON.stringify([map, at.minX, at.minY, at.maxX, at.maxY, minZ, maxZ, isLatest, isBare, generation, isLatest ? 0 : ms]);
 }
 
 const quantised = (value: number) => Math.round(Math.min(1, Math.max(0, value)) * FULL);
 
-function paint(frame: Frame, tile: PredictedTile): void {
+/** Paints a tile; the columns that are not learned are marked, and their number is returned. */
+function paint(frame: Frame, tile: PredictedTile, unlearned: Uint8Array): number {
     const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
     const [left, bottom] = [tile.x * TILE - frame.minX, tile.y * TILE - frame.minY];
-    eachCell(tile, (place, value) => {
+    let count = 0;
+    eachCell(tile, (place, value, isLearned) => {
         const [x, y] = [left + (place % TILE), bottom + Math.floor(place / TILE)];
-        if (x >= 0 && x < width && y >= 0 && y < height) frame.cells[y * width + x] = quantised(value);
+        if (x < 0 || x >= width || y < 0 || y >= height) return;
+        frame.cells[y * width + x] = quantised(value);
+        if (isLearned) return;
+        unlearned[y * width + x] = 1;
+        count++;
     });
+    return count;
 }
 
 async function load(query: GridQuery, ms: number, signal?: AbortSignal): Promise<Frame> {
     const { window: at } = query;
     const cells = new Uint8Array((at.maxX - at.minX) * (at.maxY - at.minY)).fill(UNKNOWN);
     const frame: Frame = { ...at, cells };
+    const unlearned = new Uint8Array(cells.length);
+    let count = 0;
     const request = {
         map: query.map,
         time: toTimestamp(ms),
@@ -68,7 +89,14 @@ async function load(query: GridQuery, ms: number, signal?: AbortSignal): Promise
         project: true,
     };
     for await (const answer of queries.predictGrid(request, { signal })) {
-        if (answer.message.case === 'page') for (const tile of answer.message.value.tiles) paint(frame, tile);
+        if (answer.message.case === 'page') for (const tile of answer.message.value.tiles) count += paint(frame, tile, unlearned);
+    }
+    if (count === 0 || query.isLatest) return frame;
+    frame.unlearned = unlearned;
+    // A forecast of one half everywhere shows nothing: what was seen there last shows the building.
+    if (!query.isBare) {
+        const seen = await frameAt({ ...query, isLatest: true }, ms);
+        for (const [index, mark] of unlearned.entries()) if (mark) cells[index] = seen.cells[index] ?? UNKNOWN;
     }
     return frame;
 }

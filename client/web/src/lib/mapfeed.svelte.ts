@@ -6,9 +6,11 @@
 import { Code, ConnectError } from '@connectrpc/connect';
 
 import type { Map as WireMap, State } from '../wire/tidemap/v1/map_pb';
-import { DAY, HOUR, MINUTE } from './civil';
-import { link, maps, message } from './rpc.svelte';
-import { fromTimestamp } from './times';
+import { addDays, DAY, HOUR, midnight, MINUTE } from './civil';
+import { isLearned } from './learned';
+import { link, maps, message, queries } from './rpc.svelte';
+import { fromTimestamp, toNanos } from './times';
+import { StateKind } from '../wire/tidemap/v1/types_pb';
 
 /** The time between two requests for the counters of the map. */
 const EVERY_MS = 4000;
@@ -21,7 +23,37 @@ const STEP_MS = 5 * MINUTE;
 /** The time that a view opens at: now, or the time of the newest data if it is older than a day. */
 export function openingTime(newest: number | undefined, now: number): number {
     const at = newest !== undefined && now - newest > DAY ? newest : now;
-    return Math.floor(at / STEP_MS) * STEP_MS;
+    // A simulated clock begins in 1970, and its first instant is no time of the daemon.
+    return Math.max(MINUTE, Math.floor(at / STEP_MS) * STEP_MS);
+}
+
+/** A map with at most this many states that robots named shows their weeks. */
+const FEW = 12;
+const BUSY_STEP_MS = HOUR / 2;
+/** Less change in half an hour, in all states together, is none. */
+const BUSY_LEAST = 0.2;
+
+/** Whether a map has few states, and no grid. */
+export function hasFew(info: Pick<WireMap, 'grid'> | undefined, states: State[]): boolean {
+    return !info?.grid && states.filter((state) => !state.name.includes('/')).length <= FEW;
+}
+
+/** The time of a local day at which the predictions of states change most; `undefined`: nothing changes. */
+export async function busyTime(map: string, states: State[], ms: number, zone: string): Promise<number | undefined> {
+    const known = states.filter((state) => isLearned(state) && [StateKind.PROBABILITY, StateKind.CATEGORICAL].includes(state.kind));
+    const named = known.filter((state) => !state.name.includes('/'));
+    const names = (named.length ? named : known).slice(0, FEW).map((state) => state.name);
+    if (names.length === 0) return undefined;
+    const times: number[] = [];
+    for (let at = midnight(ms, zone), end = addDays(at, 1, zone); at < end; at += BUSY_STEP_MS) times.push(at);
+    const changes = times.map(() => 0);
+    for await (const { firstTimeIndex, probabilities } of queries.predictStates({ map, states: names, timesNanos: times.map(toNanos) })) {
+        for (let index = 1; index < probabilities.length; index++) {
+            changes[firstTimeIndex + index] = (changes[firstTimeIndex + index] ?? 0) + Math.abs((probabilities[index] ?? 0) - (probabilities[index - 1] ?? 0));
+        }
+    }
+    const most = Math.max(...changes);
+    return most < BUSY_LEAST ? undefined : times[changes.indexOf(most)];
 }
 
 /** The time of the newest observation, milliseconds; an observation later than the clock does not count. */
@@ -98,7 +130,7 @@ export class MapFeed {
             const answer = await maps.listStates({ map: this.#map, pageSize: PAGE, pageToken });
             all.push(...answer.states);
             pageToken = answer.nextPageToken;
-            if (!this.isReady) this.#open(all);
+            if (!this.isReady) await this.#open(all);
             if (!pageToken) break;
             if (!this.isListed) this.states = [...all];
         }
@@ -108,10 +140,15 @@ export class MapFeed {
         this.#listAfter = performance.now() + (performance.now() - begun) / LISTING_SHARE;
     }
 
-    #open(states: State[]): void {
+    async #open(states: State[]): Promise<void> {
         const now = Date.now();
         this.newest = newestTime(states, fromTimestamp(this.info?.lastUpdate?.cut), now);
-        this.opening = openingTime(this.newest, now);
+        let opening = openingTime(this.newest, now);
+        // A view of old data does not open at an hour when nothing happens.
+        if (now - opening > DAY && hasFew(this.info, states)) {
+            opening = (await busyTime(this.#map, states, opening, this.info?.timeZone ?? 'UTC').catch(() => undefined)) ?? opening;
+        }
+        this.opening = opening;
         this.isReady = true;
     }
 

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
 
-import { gain, mark, paletteOf, SURE } from './colours';
+import { amount, gain, occupancy, paletteOf, SURE, unknown } from './colours';
 import { apart, paintFrame, paintPlan } from './paint';
 import type { Plan } from './plan';
 
@@ -106,7 +106,7 @@ suite('a frame', () => {
 });
 
 suite('a plan', () => {
-    const style = { text: 'text', ground: 'ground', accent: 'accent' };
+    const style = { text: 'text', ground: 'ground', soft: 'soft', way: 'way' };
     const nodes = [{ name: 'hall', x: 0, y: 0 }, { name: 'lab', x: 3, y: 2, presence: 0.5 }];
     const empty: Plan = { nodes: [], edges: [], paths: [], squares: [] };
 
@@ -118,7 +118,7 @@ suite('a plan', () => {
         paint({ nodes });
         const discs = canvas.named('arc').map(({ values }) => values.slice(0, 3));
         assert.deepEqual(discs, [[100, 50, 9], [100, 50, 6.5], [130, 30, 9], [130, 30, 6.5]]);
-        assert.deepEqual(canvas.named('fill').map(({ brush }) => brush.fillStyle), ['ground', 'ground', 'ground', mark(0.5)]);
+        assert.deepEqual(canvas.named('fill').map(({ brush }) => brush.fillStyle), ['ground', unknown(), 'ground', occupancy(0.5)]);
         assert.deepEqual(canvas.named('fillText').map(({ values }) => values), [['hall', 100, 70], ['lab', 130, 50]]);
     });
 
@@ -135,12 +135,12 @@ suite('a plan', () => {
         assert.equal(canvas.named('fillText').length, 40);
     });
 
-    test('has edges in the colour of their share, dashed where nobody has reported', () => {
+    test('has edges in the colour of a probability or an amount, grey and dashed where nothing is known', () => {
         const edge = { from: 'hall', to: 'lab', title: '', state: 'edge/a/b' };
-        paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }] });
-        const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 3.5).map(({ brush }) => brush.strokeStyle);
-        assert.deepEqual(lines, [mark(0.25), '#17202b']);
-        assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0]);
+        paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }, { ...edge, share: 0.25, isAmount: true, reports: 3 }] });
+        const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 4).map(({ brush }) => brush.strokeStyle);
+        assert.deepEqual(lines, [occupancy(0.25), 'soft', amount(0.25)]);
+        assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0, 0, 0]);
         assert.deepEqual([canvas.named('moveTo')[0]?.values, canvas.named('lineTo')[0]?.values], [[100, 50], [130, 30]]);
     });
 

@@ -1,8 +1,8 @@
 // Draws a frame and a plan on canvases.
 
-import { gain, mark, type Palette } from './colours';
+import { amount, gain, occupancy, unknown, type Palette } from './colours';
 import { arrowsOf, flowExtent, type FlowLayer } from './flow';
-import type { Frame } from './frames';
+import { learnedCounts, type Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
 /** The place of a grid: its corner and its cells, in metres. */
@@ -11,12 +11,6 @@ export interface GridPlace {
     originY: number;
     resolution: number;
 }
-
-/** Routes and selected elements: blue, which is no colour of a probability. */
-const WAY = '#1a4fa3';
-
-/** The rim around lines, whose colours are made for white, and the ink of lines without a value. */
-const [RIM, INK] = ['#fff', '#17202b'];
 
 /** A name, the middle of its base line, and its width, in pixels. */
 export interface Label {
@@ -68,8 +62,39 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     return sheet;
 }
 
-/** Draws a frame; `ratio` is the number of pixels of the canvas for one pixel of the screen. */
-export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number): void {
+/** Between two lines of the hatching, pixels of the screen. */
+const HATCH_PX = 7;
+
+/** Hatches the columns that no update has learned, within a rectangle of the canvas. */
+function hatch(brush: CanvasRenderingContext2D, frame: Frame, unlearned: Uint8Array, [left, top, width, height]: number[], colour: string, ratio: number): void {
+    const [columns, rows] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
+    const [mask, veil] = [document.createElement('canvas'), document.createElement('canvas')];
+    [mask.width, mask.height, veil.width, veil.height] = [columns, rows, brush.canvas.width, brush.canvas.height];
+    const [stencil, lines] = [mask.getContext('2d'), veil.getContext('2d')];
+    if (!stencil || !lines) return;
+    const marks = new ImageData(columns, rows);
+    for (let row = 0; row < rows; row++) {
+        for (let column = 0; column < columns; column++) {
+            if (unlearned[row * columns + column]) marks.data[4 * ((rows - 1 - row) * columns + column) + 3] = 255;
+        }
+    }
+    stencil.putImageData(marks, 0, 0);
+    lines.strokeStyle = colour;
+    lines.lineWidth = 1.2 * ratio;
+    for (let x = -veil.height; x < veil.width; x += HATCH_PX * ratio) {
+        lines.moveTo(x, veil.height);
+        lines.lineTo(x + veil.height, 0);
+    }
+    lines.stroke();
+    lines.globalCompositeOperation = 'destination-in';
+    lines.imageSmoothingEnabled = false;
+    lines.drawImage(mask, left ?? 0, top ?? 0, width ?? 0, height ?? 0);
+    brush.drawImage(veil, 0, 0);
+}
+
+/** Draws a frame. `hatching` is the colour of the lines over what is not learned, where other columns are; `ratio` is
+ * the number of pixels of the canvas for one pixel of the screen. */
+export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number, hatching = '#000'): void {
     const brush = canvas.getContext('2d');
     if (!brush) return;
     brush.setTransform(1, 0, 0, 1, 0, 0);
@@ -80,13 +105,18 @@ export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, 
     const top = canvas.height / 2 - (place.originY + frame.maxY * place.resolution - camera.y) * scale;
     brush.imageSmoothingEnabled = place.resolution * scale < 1;
     const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
-    brush.drawImage(sheetOf(frame, palette), left, top, width * place.resolution * scale, height * place.resolution * scale);
+    const box: [number, number, number, number] = [left, top, width * place.resolution * scale, height * place.resolution * scale];
+    brush.drawImage(sheetOf(frame, palette), ...box);
+    if (frame.unlearned && learnedCounts(frame).learned) hatch(brush, frame, frame.unlearned, box, hatching, ratio);
 }
 
 interface Style {
     text: string;
     ground: string;
-    accent: string;
+    /** Edges of which nothing is known. */
+    soft: string;
+    /** Routes and selected elements: blue, which is no colour of a probability. */
+    way: string;
 }
 
 function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: number, y2: number): void {
@@ -102,12 +132,9 @@ function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: numb
 
 /** The least room for the arrow of a flow: where cells are smaller, some share one. */
 const FLOW_ARROW_PX = 14;
-/** The ground below a flow where there is no grid: white, and less of it at night. */
-const FLOW_GROUND = 'rgb(255 255 255 / 85%)';
-
 type ToScreen = (point: { x: number; y: number }) => [number, number];
 
-function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScreen, scale: number): void {
+function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScreen, scale: number, style: Style): void {
     const { flow, top } = layer;
     const edge = flow.edge * scale;
     /** Whole pixels: half ones would show seams. */
@@ -116,9 +143,8 @@ function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScre
         brush.fillRect(left, high, right - left, bottom - high);
     };
     if (layer.isAlone) {
-        // Shades are made for white.
         const { minX, minY, maxX, maxY } = flowExtent(flow);
-        brush.fillStyle = FLOW_GROUND;
+        brush.fillStyle = style.ground;
         fill(minX, minY, maxX, maxY);
     }
     for (const { column, row, count } of flow.cells) {
@@ -129,7 +155,7 @@ function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScre
     const arrows = arrowsOf(layer, Math.max(1, Math.ceil(FLOW_ARROW_PX / edge)));
     for (const isRim of [true, false]) {
         brush.lineWidth = isRim ? 4 : 1.8;
-        brush.strokeStyle = isRim ? RIM : INK;
+        brush.strokeStyle = isRim ? style.ground : style.text;
         for (const arrow of arrows) {
             const [x, y] = at(arrow);
             // The length is the share of the direction.
@@ -165,7 +191,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fillStyle = gain(square.share);
         brush.fillRect(x - edge / 2, y - edge / 2, edge, edge);
     }
-    if (plan.flow) paintFlow(brush, plan.flow, at, camera.scale);
+    if (plan.flow) paintFlow(brush, plan.flow, at, camera.scale, style);
     const places = new Map(plan.nodes.map((node) => [node.name, node]));
     for (const edge of plan.edges) {
         const [from, to] = [places.get(edge.from), places.get(edge.to)];
@@ -174,15 +200,17 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.beginPath();
             brush.moveTo(...at(from));
             brush.lineTo(...at(to));
-            brush.lineWidth = isRim ? 6 : 3.5;
-            brush.strokeStyle = isRim ? RIM : edge.share === undefined ? INK : mark(edge.share);
-            brush.setLineDash(!isRim && edge.reports === 0 ? [5, 5] : []);
+            // The rim shows a line whose colour is that of the floor.
+            brush.lineWidth = isRim ? 6.5 : 4;
+            const isUnknown = edge.share === undefined;
+            brush.strokeStyle = isRim ? (isUnknown ? style.ground : style.text) : edge.share === undefined ? style.soft : edge.isAmount ? amount(edge.share) : occupancy(edge.share);
+            brush.setLineDash(!isRim && isUnknown ? [7, 5] : []);
             brush.stroke();
         }
     }
     brush.setLineDash([]);
     for (const path of plan.paths) {
-        brush.strokeStyle = brush.fillStyle = WAY;
+        brush.strokeStyle = brush.fillStyle = style.way;
         brush.lineWidth = 3;
         for (let step = 1; step < path.points.length; step++) {
             const [from, to] = [path.points[step - 1], path.points[step]];
@@ -214,10 +242,10 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fill();
         brush.beginPath();
         brush.arc(x, y, isChosen ? 9 : 6.5, 0, 2 * Math.PI);
-        brush.fillStyle = node.presence === undefined ? style.ground : mark(node.presence);
+        brush.fillStyle = node.presence === undefined ? unknown() : occupancy(node.presence);
         brush.fill();
         brush.lineWidth = isChosen ? 3.5 : 2;
-        brush.strokeStyle = isChosen ? WAY : style.text;
+        brush.strokeStyle = isChosen ? style.way : style.text;
         brush.stroke();
     }
     if (camera.scale > 9 || plan.nodes.length < 40) {
@@ -230,15 +258,33 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         });
         for (const { text, x, y } of apart(labels)) label(text, x, y);
     }
+    for (const { name, x: east, y: north } of plan.marks ?? []) {
+        const [x, y] = at({ x: east, y: north });
+        const size = chosen.includes(name) ? 9 : 7;
+        brush.beginPath();
+        brush.moveTo(x, y - size);
+        for (const [dx, dy] of [[size, 0], [0, size], [-size, 0]] as const) brush.lineTo(x + dx, y + dy);
+        brush.closePath();
+        brush.fillStyle = style.way;
+        brush.fill();
+        brush.lineWidth = 2;
+        brush.strokeStyle = style.ground;
+        brush.stroke();
+    }
+    const marks = (plan.marks ?? []).map((mark) => {
+        const [x, y] = at(mark);
+        return { text: mark.name, x, y: y - 13, width: brush.measureText(mark.name).width + 4 };
+    });
+    for (const { text, x, y } of apart(marks.sort((a, b) => Number(chosen.includes(b.text)) - Number(chosen.includes(a.text))))) label(text, x, y);
     for (const path of plan.paths) {
         for (const point of path.points) {
             if (!point.label) continue;
             const [x, y] = at(point);
             brush.beginPath();
-            brush.arc(x, y, 9, 0, 2 * Math.PI);
-            brush.fillStyle = WAY;
+            brush.arc(x, y, Math.max(9, 3 + brush.measureText(point.label).width / 2), 0, 2 * Math.PI);
+            brush.fillStyle = style.way;
             brush.fill();
-            brush.fillStyle = '#fff';
+            brush.fillStyle = style.ground;
             brush.fillText(point.label, x, y + 4);
         }
     }

@@ -13,8 +13,8 @@ export function weekCsv(week: Week, zone: string, state = week.series[0]?.name ?
             rows.push(csvRow([rfc3339(ms, zone), one.name, 'predicted', one.values[index] ?? '', one.lower[index] ?? '', one.upper[index] ?? '']));
         }
     }
-    const { times, values, pieces } = week.seen;
-    for (const [index, ms] of times.entries()) {
+    const { times, values, pieces, isLabels } = week.seen;
+    for (const [index, ms] of isLabels ? [] : times.entries()) {
         // A row without a value means that no value is known from then on.
         const value = values[index] ?? Number.NaN;
         rows.push(csvRow([rfc3339(ms, zone), state, pieces ? 'reported' : 'observed', Number.isNaN(value) ? '' : value, '', '']));
@@ -33,7 +33,7 @@ export function stepPath(pieces: Piece[], x: (ms: number) => string | number, y:
 export function weekSvg(title: string, week: Week, zone: string, colours: string[]): string {
     const [start, end] = [week.times[0] ?? 0, week.times.at(-1) ?? 1];
     const { times, values, pieces } = week.seen;
-    const all = [...values, ...(pieces ?? []).map((piece) => piece.value), ...week.series.flatMap((one) => [...one.values, ...one.lower, ...one.upper])].filter(Number.isFinite);
+    const all = [...(week.seen.isLabels ? [] : values), ...(pieces ?? []).map((piece) => piece.value), ...week.series.flatMap((one) => [...one.values, ...one.lower, ...one.upper])].filter(Number.isFinite);
     const [low, high] = week.isProbability || all.length === 0 ? [0, 1] : [all.reduce((a, b) => Math.min(a, b)), all.reduce((a, b) => Math.max(a, b))];
     const x = (ms: number) => (LEFT + ((ms - start) / (end - start)) * (WIDTH - LEFT - 12)).toFixed(1);
     const y = (value: number) => (HEIGHT - BOTTOM - ((value - low) / Math.max(1e-12, high - low)) * (HEIGHT - TOP - BOTTOM)).toFixed(1);
@@ -60,6 +60,6 @@ export function weekSvg(title: string, week: Week, zone: string, colours: string
         parts.push(`<text x="${WIDTH - 12}" y="${16 + 13 * index}" text-anchor="end" fill="${colour}">${escaped(one.name)}</text>`);
     }
     if (pieces) parts.push(`<path d="${stepPath(pieces, x, y)}" fill="none" stroke="#17202b" stroke-opacity="0.6"/>`);
-    else for (const [index, ms] of times.entries()) parts.push(`<circle cx="${x(ms)}" cy="${y(values[index] ?? low)}" r="1.6" fill="#17202b" fill-opacity="0.5"/>`);
+    else for (const [index, ms] of week.seen.isLabels ? [] : times.entries()) parts.push(`<circle cx="${x(ms)}" cy="${y(values[index] ?? low)}" r="1.6" fill="#17202b" fill-opacity="0.5"/>`);
     return `${parts.join('\n')}\n</svg>\n`;
 }

@@ -41,11 +41,13 @@ suite('what lies at a point', () => {
     const plan: Plan = { nodes: [{ name: 'a', x: 0, y: 0 }, { name: 'b', x: 10, y: 0 }], edges: [edge, { ...edge, to: 'attic' }], paths: [], squares: [] };
     const at = (x: number, y: number) => {
         const found = planAt(plan, x, y, 1, 0.5);
-        return found && ('node' in found ? found.node.name : found.edge.state);
+        return found && ('node' in found ? found.node.name : 'mark' in found ? found.mark.name : found.edge.state);
     };
 
     test('is the nearest node, else the edge beside it, else nothing', () => {
         assert.deepEqual([at(0.4, 0.2), at(9.5, 0), at(5, 0.4), at(5, 0.6), at(-2, 0)], ['a', 'b', 'edge/a/b', undefined, undefined]);
+        plan.marks = [{ name: 'robot', x: 0.5, y: 0, title: '' }];
+        assert.equal(at(0.4, 0.2), 'robot');
     });
 });
 

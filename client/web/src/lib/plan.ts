@@ -18,8 +18,10 @@ export interface PlanNode {
 export interface PlanEdge {
     from: string;
     to: string;
-    /** The value that its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
+    /** The value that its colour shows, 0 to 1: the probability that it is passed, or with `isAmount` the share of its
+     * duration in the longest one; absent: nothing is known. */
     share?: number;
+    isAmount?: boolean;
     /** Number of reported traversals. */
     reports: number;
     title: string;
@@ -31,6 +33,14 @@ export interface PlanEdge {
 export interface PlanPath {
     kind: 'route' | 'tour';
     points: { x: number; y: number; label?: string | undefined }[];
+}
+
+/** A position of something that moves. */
+export interface PlanMark {
+    name: string;
+    x: number;
+    y: number;
+    title: string;
 }
 
 /** A square that stands out more with more information gain. */
@@ -47,6 +57,7 @@ export interface Plan {
     edges: PlanEdge[];
     paths: PlanPath[];
     squares: PlanSquare[];
+    marks?: PlanMark[];
     flow?: FlowLayer | undefined;
 }
 
@@ -67,11 +78,13 @@ export function around(one: Extent | undefined, other: Extent | undefined): Exte
 }
 
 /** The element at a point of the map. */
-export type Found = { node: PlanNode } | { edge: PlanEdge } | undefined;
+export type Found = { node: PlanNode } | { edge: PlanEdge } | { mark: PlanMark } | undefined;
 
-/** The node or the edge at a point, in metres, if one is near enough: nodes before edges. */
+/** The element at a point, in metres, if one is near enough: positions before nodes, and nodes before edges. */
 export function planAt(plan: Plan, x: number, y: number, nearNodeM: number, nearEdgeM: number): Found {
     const distance = (node: { x: number; y: number }) => Math.hypot(node.x - x, node.y - y);
+    const [mark] = (plan.marks ?? []).filter((one) => distance(one) < nearNodeM).sort((a, b) => distance(a) - distance(b));
+    if (mark) return { mark };
     const [node] = plan.nodes.filter((one) => distance(one) < nearNodeM).sort((a, b) => distance(a) - distance(b));
     if (node) return { node };
     const places = new Map(plan.nodes.map((one) => [one.name, one]));

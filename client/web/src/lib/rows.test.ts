@@ -4,8 +4,8 @@ import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
 import { HOUR } from './civil';
-import { occupancy, UNKNOWN_STYLE } from './colours';
-import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, nameParts, rangeOf, rowColour, ticksOf } from './rows';
+import { occupancy, unknown } from './colours';
+import { bandsOf, changesOf, columnsOf, hoursText, likelyParts, linePoints, nameParts, rangeOf, rowColour, ticksOf } from './rows';
 
 const ZONE = 'Europe/Berlin';
 
@@ -33,7 +33,7 @@ suite('colours', () => {
     });
 
     test('of hours without observations are those of what is unknown', () => {
-        assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), UNKNOWN_STYLE);
+        assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), unknown());
         assert.equal(linePoints([0, Number.NaN, 1], { low: 0, high: 1 }).split(' ').length, 2);
     });
 
@@ -70,4 +70,15 @@ test('a long name is parted, so that its end is kept whole', () => {
     assert.deepEqual(parts('binary_sensor.living_room_window'), ['binary_sensor.living_', 'room_window']);
     assert.deepEqual(parts('abcdefghijklmnopqrstuvwxyz'), ['abcdefghij', 'klmnopqrstuvwxyz']);
     for (const name of ['a-name-with-many-words', 'ääääääääääääääää_ö', '📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷']) assert.equal(parts(name).join(''), name);
+});
+
+test('hours are read out as the times when they are likely 1, the labels, or a range', () => {
+    const columns = columnsOf('day', Date.parse('2025-03-12T10:00Z'), 'UTC');
+    const hours = (value: (hour: number) => number) => columns.starts.map((_, hour) => value(hour));
+    const door = hours((hour) => (hour === 0 ? Number.NaN : Number(hour >= 8 && hour < 17)));
+    assert.equal(hoursText(door, columns, 'UTC', true), 'not observed 00:00 – 01:00, likely 0 01:00 – 08:00, likely 1 08:00 – 17:00, likely 0 17:00 – 23:59');
+    assert.equal(hoursText(hours((hour) => Number(hour >= 7)), columns, 'UTC', false, ['sleep', 'work']), 'likely sleep 00:00 – 07:00, likely work 07:00 – 23:59');
+    assert.equal(hoursText(hours((hour) => Math.abs(hour - 12)), columns, 'UTC', false), 'from 0 at 12:00 to 12 at 00:00');
+    assert.equal(hoursText(hours(() => 2), columns, 'UTC', false), '2 throughout');
+    assert.equal(hoursText(hours(() => Number.NaN), columns, 'UTC', false), 'not observed');
 });

@@ -3,7 +3,7 @@
 // Invariant: columns are hours as they pass, so the day of a clock change has 23 or 25.
 
 import { addDays, clock, clockHours, dayName, HOUR, midnight, monday } from './civil';
-import { occupancy, UNKNOWN_STYLE } from './colours';
+import { amount, occupancy, unknown } from './colours';
 
 export type RowSpan = 'day' | 'week';
 
@@ -40,11 +40,9 @@ export function rangeOf(values: number[], isProbability: boolean): { low: number
 
 /** The colour of a value; probabilities have the colours of the map, other values shades of grey. */
 export function rowColour(value: number, { low, high }: { low: number; high: number }, isProbability: boolean): string {
-    if (Number.isNaN(value)) return UNKNOWN_STYLE;
+    if (Number.isNaN(value)) return unknown();
     if (isProbability) return occupancy(value);
-    const share = Math.max(0, Math.min(1, (value - low) / Math.max(1e-12, high - low)));
-    const grey = Math.round(235 - 170 * share);
-    return `rgb(${grey} ${grey + 4} ${Math.min(255, grey + 12)})`;
+    return amount((value - low) / Math.max(1e-12, high - low));
 }
 
 /** Colours side by side, as an image of a style. */
@@ -96,6 +94,27 @@ export function likelyParts(times: number[], values: number[], end: number): { f
     }
     if (from !== undefined) parts.push({ from, to: end });
     return parts;
+}
+
+/** The runs of equal text in hours, in words, for those who do not see their colours. */
+function runsText(said: string[], { starts, end }: Columns, name: (ms: number) => string): string {
+    const runs: { text: string; from: number }[] = [];
+    for (const [hour, text] of said.entries()) if (text !== runs.at(-1)?.text) runs.push({ text, from: starts[hour] ?? end });
+    return runs.map(({ text, from }, index) => `${text} ${name(from)} – ${index + 1 < runs.length ? name(runs[index + 1]?.from ?? end) : name(end - 1)}`).join(', ');
+}
+
+/** The hours of a row in words: when a probability is likely 1, which label holds, or the range of a number. */
+export function hoursText(values: number[], columns: Columns, zone: string, isProbability: boolean, labels?: string[]): string {
+    const name = (ms: number) => (columns.span === 'day' ? clock(ms, zone) : `${dayName(ms, zone)} ${clock(ms, zone)}`);
+    if (labels) return runsText(values.map((value) => (Number.isNaN(value) ? 'not observed' : `likely ${labels[value] ?? ''}`)), columns, name);
+    if (isProbability) return runsText(values.map((value) => (Number.isNaN(value) ? 'not observed' : value >= 0.5 ? 'likely 1' : 'likely 0')), columns, name);
+    const known = values.filter(Number.isFinite);
+    if (known.length === 0) return 'not observed';
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const round = (value: number) => Number(value.toPrecision(3));
+    if (round(low) === round(high)) return `${round(low)} throughout`;
+    const at = (value: number) => name(columns.starts[values.indexOf(value)] ?? columns.end);
+    return `from ${round(low)} at ${at(low)} to ${round(high)} at ${at(high)}`;
 }
 
 /** The number of characters at the end of a name that are kept. */

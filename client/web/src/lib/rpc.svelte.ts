@@ -12,6 +12,7 @@ import { MapService } from '../wire/tidemap/v1/map_pb';
 import { QueryService } from '../wire/tidemap/v1/query_pb';
 import { RouteService } from '../wire/tidemap/v1/route_pb';
 import { SearchService } from '../wire/tidemap/v1/search_pb';
+import { TaskService } from '../wire/tidemap/v1/task_pb';
 import { TopologyService } from '../wire/tidemap/v1/topology_pb';
 
 const TOKEN_KEY = 'tidemap-token';
@@ -164,4 +165,5 @@ export const landmarks = createClient(LandmarkService, transport);
 export const routes = createClient(RouteService, transport);
 export const searches = createClient(SearchService, transport);
 export const exploration = createClient(ExplorationService, transport);
+export const tasks = createClient(TaskService, transport);
 export const maintenance = createClient(MaintenanceService, transport);

@@ -7,6 +7,7 @@ import { Code, ConnectError } from '@connectrpc/connect';
 
 import { RowKind, type StateReporting } from '../wire/tidemap/v1/types_pb';
 import { ago, clock, DAY, dayName, HOUR, longTime, MINUTE } from './civil';
+import type { Parts } from './parts';
 import { queries } from './rpc.svelte';
 import { fromNanos, toTimestamp } from './times';
 import { plain } from './unusual';
@@ -40,6 +41,10 @@ export interface Rows {
     note: string;
     /** The daemon keeps no rows, or returns no more of them. */
     isRefused?: boolean;
+    /** The number of observations, if each has several numbers. */
+    count?: number;
+    /** Whether the values are the numbers of labels, which no line has. */
+    isLabels?: boolean;
 }
 
 export interface Seen extends Rows {
@@ -107,10 +112,10 @@ export function heldText(reported: Reported, value: string, report: LastReport, 
 }
 
 /** The newest value in few words: the time since which a change holds, or the time of a reading. */
-export function newestText(value: number | undefined, report: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
+export function newestText(value: number | undefined, report: LastReport, reported: Reported | undefined, { zone, isNarrow, text }: { zone: string; isNarrow: boolean; text?: string | undefined }): string {
     const isChange = reported?.rows === RowKind.CHANGES;
     const { row } = report;
-    const said = isChange && hasNoValue(report) ? 'unknown' : value === undefined || Number.isNaN(value) ? '' : plain(value);
+    const said = isChange && hasNoValue(report) ? 'unknown' : text !== undefined ? text : value === undefined || Number.isNaN(value) ? '' : plain(value);
     const [age, day] = [ago(Date.now() - row), dayName(row, zone).replace(/^\S+ /, '')];
     if (Date.now() - row < DAY) return isChange && said ? `${said} for ${age}` : `${said && `${said}, `}${age} ago`;
     return `${said && `${said}${isChange && !isNarrow ? ' since ' : ', '}`}${day}${isNarrow ? '' : ` ${clock(row, zone)}`}`;
@@ -124,8 +129,9 @@ export function heldAt({ pieces }: Seen, ms: number): Piece | undefined {
 }
 
 /** The number of rows, and how they are drawn. */
-export function seenText({ times, note, pieces }: Seen, reported: Reported | undefined): string {
+export function seenText({ times, note, pieces, count, isLabels }: Seen, reported: Reported | undefined): string {
     if (note) return note;
+    if (count !== undefined) return `${count.toLocaleString('en')} observation${count === 1 ? '' : 's'}${isLabels ? '' : ' as dots'}`;
     const [what, drawn] = !reported ? ['observation', 'dot'] : reported.rows === RowKind.CHANGES ? ['change', 'step'] : ['event', 'step'];
     const many = (count: number) => (count === 1 ? '' : 's');
     if (!pieces) return `${times.length.toLocaleString('en')} ${what}${many(times.length)} as ${times.length === 1 ? 'a ' : ''}${drawn}${many(times.length)}`;
@@ -159,8 +165,26 @@ export async function hasValueAt(map: string, state: string, row: number): Promi
     return value === undefined ? undefined : !Number.isNaN(value);
 }
 
+/** The rows of the parts of a state: the number of the label of each time, or all coordinates. */
+async function observedParts(map: string, state: string, from: number, to: number, { names, isLabels }: Parts): Promise<Rows> {
+    const all = await Promise.all(names.map((name) => read(map, `${state}/${name}`, from, to)));
+    const [first] = all;
+    const { note = '', isRefused = false } = first ?? {};
+    if (!isLabels) return { times: all.flatMap(({ times }) => times), values: all.flatMap(({ values }) => values), note, isRefused, count: first?.times.length ?? 0 };
+    const best = new Map<number, { label: number; share: number }>();
+    for (const [label, { times, values }] of all.entries()) {
+        for (const [index, ms] of times.entries()) {
+            const share = values[index] ?? 0;
+            if (share > (best.get(ms)?.share ?? 0)) best.set(ms, { label, share });
+        }
+    }
+    const times = [...best.keys()].sort((a, b) => a - b);
+    return { times, values: times.map((ms) => best.get(ms)?.label ?? 0), note, isRefused, count: times.length, isLabels };
+}
+
 /** The rows between two times, with earlier rows that are still valid; an explanation if rows are not kept. */
-export async function observed(map: string, state: string, from: number, to: number, reported?: Reported): Promise<Rows> {
+export async function observed(map: string, state: string, from: number, to: number, reported?: Reported, parts?: Parts): Promise<Rows> {
+    if (parts) return observedParts(map, state, from, to, parts);
     const rows = await read(map, state, from, to);
     if (!reported || rows.isRefused) return rows;
     // Most states have a report in a day; few need a request for the whole time that their rows may cover.

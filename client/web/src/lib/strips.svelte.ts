@@ -7,6 +7,7 @@
 import type { State } from '../wire/tidemap/v1/map_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR } from './civil';
+import { modes, type Parts } from './parts';
 import { message, queries } from './rpc.svelte';
 import type { Columns } from './rows';
 import { averages, hasValueAt, isDoubtful, observed, reportedAs, seenOf, type Reported } from './seen';
@@ -27,6 +28,8 @@ export interface StripQuestion {
     /** Changes when predictions do. */
     generation: string;
     reported: AllReported;
+    /** The parts of states that have some, by name. */
+    partsOf?: ReadonlyMap<string, Parts>;
     /** The times of the newest rows of these states, and up to when the map is known. */
     newestRows?: ReadonlyMap<string, number>;
     newest?: number;
@@ -48,7 +51,7 @@ export function allReported(states: Pick<State, 'name' | 'reporting'>[]): AllRep
 }
 
 /** The means of the hours that were observed; NaN where nothing was, or is kept. */
-async function hoursSeen(map: string, states: string[], { starts, end }: Columns, reported: AllReported): Promise<number[][]> {
+async function hoursSeen(map: string, states: string[], { starts, end }: Columns, reported: AllReported, partsOf: ReadonlyMap<string, Parts> | undefined): Promise<number[][]> {
     const found: number[][] = states.map(() => []);
     const first = starts[0] ?? end;
     const { untils } = states.some((name) => reported.has(name)) ? await predict(map, states, [end], { kind: ModelKind.LATEST }) : { untils: [] };
@@ -56,8 +59,9 @@ async function hoursSeen(map: string, states: string[], { starts, end }: Columns
     const work = async () => {
         for (let at = next++; at < states.length; at = next++) {
             const name = states[at] ?? '';
-            const rows = await observed(map, name, first, end, reported.get(name));
-            found[at] = averages(seenOf(rows, reported.get(name), first, end, untils[at] ?? 0), starts, end);
+            const parts = partsOf?.get(name);
+            const rows = await observed(map, name, first, end, reported.get(name), parts && (parts.isLabels ? parts : { ...parts, names: parts.names.slice(0, 1) }));
+            found[at] = parts?.isLabels ? modes(rows, starts, end) : averages(seenOf(rows, reported.get(name), first, end, untils[at] ?? 0), starts, end);
         }
     };
     await Promise.all(Array.from({ length: READ_AT_ONCE }, work));
@@ -66,37 +70,42 @@ async function hoursSeen(map: string, states: string[], { starts, end }: Columns
 
 interface Predicted {
     values: number[][];
+    /** Of each state with several numbers: the values of each. */
+    parts: number[][][];
     /** The time up to which each state is known, milliseconds. */
     untils: number[];
 }
 
 async function predict(map: string, states: string[], times: number[], model?: { kind: ModelKind }): Promise<Predicted> {
-    const found: Predicted = { values: states.map(() => []), untils: states.map(() => 0) };
+    const found: Predicted = { values: states.map(() => []), parts: states.map(() => []), untils: states.map(() => 0) };
     const timesNanos = times.map(toNanos);
     for await (const piece of queries.predictStates({ map, states, timesNanos, model })) {
         // The first axis of a vector represents it.
         if (piece.axis <= 1) found.values[piece.stateIndex]?.push(...piece.probabilities);
+        if (piece.axis > 0) ((found.parts[piece.stateIndex] ??= [])[piece.axis - 1] ??= []).push(...piece.probabilities);
         found.untils[piece.stateIndex] = fromTimestamp(piece.lastTime) ?? 0;
     }
     return found;
 }
 
 /** A request for hours: the states, and the content. */
-export type HoursQuestion = Pick<StripQuestion, 'map' | 'names' | 'columns' | 'show' | 'reported'>;
+export type HoursQuestion = Pick<StripQuestion, 'map' | 'names' | 'columns' | 'show' | 'reported' | 'partsOf'>;
 
 /** The hours of rows, and with `week` the hours of a week before. */
-export async function hoursOf({ map, names, columns, show, reported }: HoursQuestion): Promise<{ values: number[][]; before: number[][] | undefined }> {
-    if (show === 'observed') return { values: await hoursSeen(map, names, columns, reported), before: undefined };
+export async function hoursOf({ map, names, columns, show, reported, partsOf }: HoursQuestion): Promise<{ values: number[][]; before: number[][] | undefined; parts?: number[][][] }> {
+    if (show === 'observed') return { values: await hoursSeen(map, names, columns, reported, partsOf), before: undefined };
     const middles = columns.starts.map((start) => start + HOUR / 2);
-    const { values } = await predict(map, names, middles);
+    const { values, parts } = await predict(map, names, middles);
     const before = show === 'week' ? (await predict(map, names, middles.map((ms) => ms - 7 * DAY))).values : undefined;
-    return { values, before };
+    return { values, before, parts };
 }
 
 export class StripFeed {
     rows: ReadonlyMap<string, number[]> = $state.raw(new Map());
     before: ReadonlyMap<string, number[]> = $state.raw(new Map());
     now: ReadonlyMap<string, number> = $state.raw(new Map());
+    /** Of states with several numbers: the hours of each, the values at the time of the slider, and the newest ones. */
+    parts: ReadonlyMap<string, { hours?: number[][]; now?: number[]; last?: number[] }> = $state.raw(new Map());
     /** The newest values, and up to when they are known. */
     last: ReadonlyMap<string, { value: number; until: number; hasValue?: boolean | undefined }> = $state.raw(new Map());
     problem = $state('');
@@ -133,17 +142,28 @@ export class StripFeed {
         this.#isAsking = false;
     }
 
-    async #answer({ map, names, columns, at, generation, reported, show, newestRows, newest = 0 }: StripQuestion): Promise<void> {
+    #noteParts<Key extends 'hours' | 'now' | 'last'>(key: Key, names: string[], values: { hours: number[][]; now: number[]; last: number[] }[Key][] | undefined): void {
+        const parts = new Map(this.parts);
+        for (const [index, name] of names.entries()) {
+            const value = values?.[index];
+            if (value?.length || parts.has(name)) parts.set(name, { ...parts.get(name), [key]: value });
+        }
+        this.parts = parts;
+    }
+
+    async #answer({ map, names, columns, at, generation, reported, partsOf, show, newestRows, newest = 0 }: StripQuestion): Promise<void> {
         const key = JSON.stringify([map, columns.starts[0], columns.span, generation, show]);
         if (key !== this.#key) {
             [this.#key, this.rows, this.before] = [key, new Map(), new Map()];
+            this.#noteParts('hours', [...this.parts.keys()], undefined);
         }
         const asked = names.slice(0, ASKED_MAX);
         const nowKey = JSON.stringify([map, generation, at]);
         const known = nowKey === this.#nowKey ? this.now : new Map<string, number>();
         const moments = asked.filter((name) => !known.has(name));
         if (moments.length) {
-            const { values } = await predict(map, moments, [at]);
+            const { values, parts } = await predict(map, moments, [at]);
+            this.#noteParts('now', moments, parts.map((part) => part.map(([value]) => value ?? Number.NaN)));
             const now = new Map(known);
             for (const [index, name] of moments.entries()) now.set(name, values[index]?.[0] ?? Number.NaN);
             [this.now, this.#nowKey] = [now, nowKey];
@@ -153,7 +173,8 @@ export class StripFeed {
         const unread = asked.filter((name) => !read.has(name));
         if (unread.length) {
             // A value is known at most up to the requested time.
-            const { values, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
+            const { values, parts, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
+            this.#noteParts('last', unread, parts.map((part) => part.map(([value]) => value ?? Number.NaN)));
             const last = new Map(read);
             for (const [index, name] of unread.entries()) {
                 const [until, row] = [untils[index] ?? 0, newestRows?.get(name)];
@@ -165,7 +186,8 @@ export class StripFeed {
         const missing = asked.filter((name) => !this.rows.has(name));
         if (missing.length === 0) return;
         const rows = new Map(this.rows);
-        const { values, before } = await hoursOf({ map, names: missing, columns, show, reported });
+        const { values, before, parts } = await hoursOf({ map, names: missing, columns, show, reported, partsOf });
+        this.#noteParts('hours', missing, parts);
         for (const [index, name] of missing.entries()) rows.set(name, values[index] ?? []);
         for (const name of rows.keys()) {
             if (rows.size <= KEPT_MAX) break;

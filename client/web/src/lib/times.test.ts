@@ -12,6 +12,11 @@ test('milliseconds become nanoseconds exactly, and come back', () => {
     assert.equal(fromNanos(toNanos(MS)), MS);
 });
 
+test('times before 1970 are the first instant of the wire', () => {
+    assert.equal(toNanos(-5000), 1_000_000n);
+    assert.equal(fromTimestamp(toTimestamp(-5000)), 1);
+});
+
 test('parts of a millisecond are rounded on the way out and cut on the way in', () => {
     assert.equal(toNanos(1.6), 2_000_000n);
     assert.equal(fromNanos(1_999_999n), 1);

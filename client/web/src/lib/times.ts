@@ -4,9 +4,12 @@ import { timestampFromMs, type Timestamp } from '@bufbuild/protobuf/wkt';
 
 const NANOS_PER_MS = 1_000_000n;
 
+/** The first instant that the wire has, milliseconds: a week of a simulated clock begins before it. */
+const FIRST_MS = 1;
+
 /** Milliseconds as nanoseconds of the wire. */
 export function toNanos(ms: number): bigint {
-    return BigInt(Math.round(ms)) * NANOS_PER_MS;
+    return BigInt(Math.max(FIRST_MS, Math.round(ms))) * NANOS_PER_MS;
 }
 
 /** Nanoseconds of the wire as milliseconds. */
@@ -16,7 +19,7 @@ export function fromNanos(nanos: bigint): number {
 
 /** A time as a message of the wire. */
 export function toTimestamp(ms: number): Timestamp {
-    return timestampFromMs(Math.round(ms));
+    return timestampFromMs(Math.max(FIRST_MS, Math.round(ms)));
 }
 
 /** Milliseconds of a message; `undefined` if there is none. */

@@ -18,12 +18,16 @@ export class PlanFeed {
     #edges: PredictedEdge[] = $state.raw([]);
     #presence: Map<string, number> = $state.raw(new Map());
     #colour: EdgeColour = $state('success');
+    /** Names of states that no update has learned: what is forecast of them is no more than a prior. */
+    unlearned: ReadonlySet<string> = $state.raw(new Set());
     /** Routes and tours that panels have drawn. */
     paths: PlanPath[] = $state.raw([]);
     problem = $state('');
     #timer: ReturnType<typeof setTimeout> | undefined;
     readonly #run = oneAtATime();
 
+    /** Whether a place has a position; else places stand on a circle, which has no scale. */
+    hasPositions = $state(false);
     readonly hasNodes = $derived(this.#nodes.length > 0);
     readonly hasPresence = $derived(this.#presence.size > 0);
     readonly plan: Plan = $derived({ nodes: this.#shownNodes(), edges: this.#shownEdges(), paths: [], squares: [] });
@@ -35,7 +39,9 @@ export class PlanFeed {
 
     async load(map: string): Promise<void> {
         try {
-            this.#nodes = placeNodes((await topologies.getTopology({ map })).nodes);
+            const { nodes } = await topologies.getTopology({ map });
+            this.#nodes = placeNodes(nodes);
+            this.hasPositions = nodes.some((node) => node.pose);
             this.problem = '';
         } catch (error) {
             this.problem = message(error);
@@ -75,7 +81,7 @@ export class PlanFeed {
 
     #shownNodes(): PlanNode[] {
         return this.#nodes.map((node) => {
-            const presence = this.#presence.get(node.name);
+            const presence = this.unlearned.has(node.name) ? undefined : this.#presence.get(node.name);
             return presence === undefined ? node : { ...node, presence };
         });
     }
@@ -89,14 +95,20 @@ export class PlanFeed {
             const { from, to } = edge;
             const key = JSON.stringify([from, to].sort());
             const other = both.get(key);
+            if (this.unlearned.has(`edge/${from}/${to}`)) {
+                if (!other) both.set(key, { from, to, title: `${from} – ${to}: not learned yet`, state: `edge/${from}/${to}`, reports: Number(reports), success: 1, secs: 0 });
+                continue;
+            }
             // Two directions are drawn as one line, with the worse value of the two.
             const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
             const isWorst = success <= (other?.success ?? 1);
             const state = other && !isWorst ? other.state : `edge/${from}/${to}`;
-            // Darker is worse: less likely to be passed, or longer.
-            const share = this.#colour === 'success' ? 1 - worst : longest / slowest;
-            both.set(key, { from, to, title, share, state, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
+            const isAmount = this.#colour === 'duration';
+            const share = isAmount ? longest / slowest : worst;
+            // The prior of an edge that nobody has reported is no knowledge of it.
+            const isKnown = reports > 0n || (other?.reports ?? 0) > 0;
+            both.set(key, { from, to, title, ...(isKnown ? { share } : {}), ...(isAmount ? { isAmount } : {}), state, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
         }
         return [...both.values()];
     }

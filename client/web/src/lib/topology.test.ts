@@ -56,13 +56,22 @@ suite('a plan', () => {
         const { plan } = await loaded('success');
         const shown = plan.edges.map(({ share, reports, title }) => ({ share, reports, title }));
         assert.deepEqual(shown, [
-            { share: 0.6, reports: 7, title: 'lab – hall: success 0.40, 10 s' },
-            { share: 0, reports: 0, title: 'lab – dock: success 1.00, 40 s' },
+            { share: 0.4, reports: 7, title: 'lab – hall: success 0.40, 10 s' },
+            { share: undefined, reports: 0, title: 'lab – dock: success 1.00, 40 s' },
+        ]);
+    });
+
+    test('has neither presence nor colours that no update has learned', async () => {
+        const feed = await loaded('success');
+        feed.unlearned = new Set(['lab', 'edge/lab/hall', 'edge/lab/dock']);
+        assert.equal(feed.plan.nodes[1]?.presence, undefined);
+        assert.deepEqual(feed.plan.edges.map(({ share, title }) => [share?.toFixed(2), title]), [
+            ['0.90', 'hall – lab: success 0.90, 10 s'], [undefined, 'lab – dock: not learned yet'],
         ]);
     });
 
     test('colours durations as shares of the longest, or nothing', async () => {
-        assert.deepEqual((await loaded('duration')).plan.edges.map(({ share }) => share), [0.25, 1]);
+        assert.deepEqual((await loaded('duration')).plan.edges.map(({ share, isAmount }) => [share, isAmount]), [[0.25, true], [undefined, true]]);
         assert.deepEqual((await loaded('none')).plan.edges, []);
     });
 

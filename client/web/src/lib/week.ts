@@ -6,6 +6,7 @@ import { StateKind } from '../wire/tidemap/v1/types_pb';
 import type { DescribeModelResponse } from '../wire/tidemap/v1/query_pb';
 import type { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { addDays, HOUR, MINUTE } from './civil';
+import type { Parts } from './parts';
 import { queries } from './rpc.svelte';
 import { observed, seenOf, type Reported, type Seen } from './seen';
 import { fromTimestamp, toNanos } from './times';
@@ -75,7 +76,7 @@ export async function momentOf(map: string, states: string[], at: number, model:
 }
 
 /** Everything that the panel of a state shows. */
-export async function loadWeek(map: string, state: string, start: number, zone: string, model: Asked | undefined, reported?: Reported): Promise<Week> {
+export async function loadWeek(map: string, state: string, start: number, zone: string, model: Asked | undefined, reported?: Reported, parts?: Parts): Promise<Week> {
     const end = addDays(start, 7, zone);
     const times: number[] = [];
     for (let ms = start; ms <= end; ms += STEP_MS) times.push(ms);
@@ -106,7 +107,7 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
             throw error;
         }
     };
-    const [, rows, described] = await Promise.all([predict(), observed(map, state, start, end, reported), describe()]);
+    const [, rows, described] = await Promise.all([predict(), observed(map, state, start, end, reported, parts), describe()]);
     const isProbability = isCell || hasLabels || described?.kind === StateKind.PROBABILITY;
     const seen = seenOf(rows, reported, start, end, knownUntil);
     const every = seen.pieces ? 1 : Math.ceil(seen.times.length / DOTS_MAX);
