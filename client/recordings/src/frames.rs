@@ -222,6 +222,13 @@ impl Frames {
         frame == within || self.chain(within).iter().any(|name| chain.contains(name))
     }
 
+    /// Whether a frame may move within another one: a link between them is not static.
+    pub fn may_move(&self, frame: &str, within: &str) -> bool {
+        let (from, to) = (self.chain(frame), self.chain(within));
+        let is_shared = |name: &&str| from.contains(name) && to.contains(name);
+        from.iter().chain(&to).any(|name| !is_shared(name) && self.moves(name))
+    }
+
     /// Whether there are no transforms.
     pub fn is_empty(&self) -> bool {
         self.links.is_empty()

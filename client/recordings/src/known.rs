@@ -8,7 +8,7 @@ mod grid;
 use nalgebra::Isometry3;
 
 pub use self::{
-    cloud::Cloud,
+    cloud::{Cloud, PointTimes},
     grid::{Grid, GridUpdate},
 };
 
@@ -107,6 +107,8 @@ pub struct LaserScan<'a> {
     pub angle_min_rad: f64,
     /// Angle between rays, radians.
     pub angle_increment_rad: f64,
+    /// Time between rays, seconds; 0 if the driver gives none. The first ray has the time of the header.
+    pub time_increment_secs: f64,
     /// Smallest valid range, metres.
     pub range_min_m: f64,
     /// Largest valid range, metres.
@@ -124,6 +126,7 @@ impl<'a> LaserScan<'a> {
         let scan = Self {
             angle_min_rad: fields.number(&["angle_min"])?,
             angle_increment_rad: fields.number(&["angle_increment"])?,
+            time_increment_secs: fields.number(&["time_increment"]).unwrap_or(0.0),
             range_min_m: fields.number(&["range_min"])?,
             range_max_m: fields.number(&["range_max"])?,
             ranges: fields.numbers(&["ranges"])?,
@@ -151,10 +154,28 @@ impl<'a> LaserScan<'a> {
         self.ranges.len()
     }
 
-    /// Whether a range is a valid reading, by the limits of the sensor.
-    pub fn is_valid(&self, range_m: f64) -> bool {
-        range_m.is_finite() && range_m >= self.range_min_m && range_m <= self.range_max_m
+    /// What a beam with this range has measured. Drivers mark a beam without a return by infinity, by the largest valid
+    /// range or more, by NaN, by 0 or less, or by a range below the smallest valid one.
+    pub fn beam(&self, range_m: f64) -> Beam {
+        if range_m.is_nan() || range_m <= 0.0 || range_m < self.range_min_m {
+            Beam::NoReading
+        } else if range_m >= self.range_max_m || range_m == f64::INFINITY {
+            Beam::NoReturn
+        } else {
+            Beam::Hit
+        }
     }
+}
+
+/// What a beam of a range finder has measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beam {
+    /// Something at its range.
+    Hit,
+    /// Nothing came back from within the sensor's range.
+    NoReturn,
+    /// Nothing that means anything: the sensor gives no range, or one too near.
+    NoReading,
 }
 
 /// A transform that a message holds, or why it is not used.

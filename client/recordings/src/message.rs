@@ -11,6 +11,7 @@ use std::sync::Arc;
 pub use self::path::{Path, PathError};
 
 use self::cursor::MessageCursor;
+pub(crate) use self::cursor::number;
 use crate::{
     definition::{Count, Primitive},
     layout::{Kind, LaidField, Structure},

@@ -82,6 +82,10 @@ pub(crate) struct ImportArgs {
     /// Casts a ray to each point of a cloud; by default one to each cell in which points lie
     #[arg(long)]
     every_point: bool,
+    /// Places all beams of a scan or cloud where the sensor was at the stamp; by default each is placed where it was at
+    /// the beam's own time, if the message gives times
+    #[arg(long)]
+    at_stamp: bool,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensors, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads

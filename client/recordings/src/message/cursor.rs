@@ -119,7 +119,7 @@ impl<'a> MessageCursor<'a> {
 }
 
 /// The number that the bytes encode; 0 if their count is not the size of the type.
-pub(super) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
+pub(crate) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
     macro_rules! read {
         ($type:ty) => {{
             let bytes = bytes.try_into().unwrap_or_default();
