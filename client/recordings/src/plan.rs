@@ -7,6 +7,7 @@ mod frame;
 
 use crate::{
     definition::Count,
+    frames::GAP_NANOS,
     known::pose_path,
     layout::Kind,
     mapping::{Mapping, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule},
@@ -152,6 +153,15 @@ pub struct Wishes {
     pub topics: Vec<String>,
     /// The frame in which everything is placed.
     pub frame: Option<String>,
+    /// The longest time between two transforms that differ, nanoseconds; that of the mapping if absent.
+    pub transform_gap_nanos: Option<i64>,
+}
+
+impl Wishes {
+    /// The longest time between two transforms that differ, nanoseconds.
+    pub fn gap_nanos(&self) -> i64 {
+        self.transform_gap_nanos.or(self.mapping.transform_gap_nanos).unwrap_or(GAP_NANOS)
+    }
 }
 
 /// Makes a plan.

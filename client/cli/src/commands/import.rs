@@ -86,6 +86,9 @@ pub(crate) struct ImportArgs {
     /// the beam's own time, if the message gives times
     #[arg(long)]
     at_stamp: bool,
+    /// Between two transforms that differ and are further apart than this, nothing has a place [default: 2s]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
+    transform_gap: Option<i64>,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensors, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
@@ -155,7 +158,12 @@ async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
     };
     let recording = Recording::open(&args.files)?;
     let bar = Bar::bytes(Some(recording.bytes()));
-    let wishes = Wishes { mapping, topics: args.topics.clone(), frame: args.frame.clone() };
+    let wishes = Wishes {
+        mapping,
+        topics: args.topics.clone(),
+        frame: args.frame.clone(),
+        transform_gap_nanos: args.transform_gap,
+    };
     let reading = (recording.clone(), wishes.clone(), bar.clone());
     let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1, &reading.2)).await;
     bar.clear();

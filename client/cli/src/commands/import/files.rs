@@ -170,7 +170,9 @@ pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyho
         survey.again_with_sensors(wishes.frame.as_deref());
         surveyed(recording, bar, &mut survey, false)?;
     }
-    Ok(survey.finish())
+    let mut surveyed = survey.finish();
+    surveyed.frames.set_gap(wishes.gap_nanos());
+    Ok(surveyed)
 }
 
 fn surveyed(recording: &Recording, bar: &Bar, survey: &mut Survey, is_first: bool) -> anyhow::Result<()> {
