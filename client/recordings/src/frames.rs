@@ -232,6 +232,22 @@ impl Frames {
         }
     }
 
+    /// Forgets the transforms of a frame, static ones too.
+    pub fn remove(&mut self, child: &str) {
+        if let Some(Link::Moving(tracks)) = self.links.remove(child) {
+            let samples: usize = tracks.iter().map(|track| track.samples.len()).sum();
+            self.samples = self.samples.saturating_sub(samples);
+        }
+        self.conflicts.remove(child);
+    }
+
+    /// The frame that is fixed to a frame and nearest to the root: the robot, for a sensor.
+    pub fn body<'f>(&'f self, frame: &'f str) -> &'f str {
+        let chain = self.chain(frame);
+        let moving = chain.iter().position(|name| self.moves(name));
+        moving.and_then(|index| chain.get(index)).or(chain.last()).copied().unwrap_or(frame)
+    }
+
     /// Sets the longest time between two samples that differ, nanoseconds; it is [`GAP_NANOS`] before.
     pub fn set_gap(&mut self, gap_nanos: i64) {
         self.gap_nanos = Some(gap_nanos);

@@ -203,6 +203,31 @@ fn transform(message: &Value<'_>) -> TransformRead {
     Ok(Transform { parent, child, time_nanos, pose })
 }
 
+/// Types whose messages are poses of a robot at a time within a frame.
+pub const POSE_TYPES: [&str; 3] =
+    ["nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped"];
+
+/// The transform that a pose of a robot is, if it is of one of [`POSE_TYPES`]. Its child is empty if the message names
+/// none, its time 0 if the message has none.
+///
+/// # Errors
+/// The message names no frame, or the pose is not finite.
+pub fn pose_transform(message: &Value<'_>, type_name: &'static str) -> TransformRead {
+    let fields = Fields { type_name, message };
+    let parent = frame(message);
+    if parent.is_empty() {
+        return Err(KnownError::Values("the pose names no frame in its header".to_owned()));
+    }
+    let child = message.field("child_frame_id").and_then(Value::text).unwrap_or_default();
+    let child = frame_name(&child).to_owned();
+    if child == parent || child.len() > FRAME_BYTES_MAX {
+        return Err(KnownError::Values(format!("the pose of {parent:?} is given in {parent:?} itself")));
+    }
+    let path = pose_path(type_name).unwrap_or_default();
+    let pose = fields.pose(path, "position", "orientation")?;
+    Ok(Transform { parent, child, time_nanos: stamp(message).unwrap_or(0), pose })
+}
+
 /// The path to the pose in a message of one of the usual types with one pose.
 pub fn pose_path(type_name: &str) -> Option<&'static [&'static str]> {
     Some(match type_name {

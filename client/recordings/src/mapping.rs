@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use crate::survey::PoseSource;
+
 pub(crate) use self::rule::shown;
 pub use self::rule::{FieldPlace, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
 
@@ -30,6 +32,8 @@ pub struct Mapping {
     pub traversals: Vec<TraversalRule>,
     /// The longest time between two transforms that differ, nanoseconds.
     pub transform_gap_nanos: Option<i64>,
+    /// The topic whose poses are taken in place of transforms.
+    pub pose_from: Option<PoseSource>,
 }
 
 /// Why a mapping cannot be used.
@@ -58,6 +62,7 @@ struct MappingText {
     traversals: BTreeMap<String, rule::TraversalText>,
     /// Seconds.
     transform_gap: Option<f64>,
+    pose_from: Option<String>,
 }
 
 impl Mapping {
@@ -84,6 +89,7 @@ impl Mapping {
         };
         Ok(Self {
             transform_gap_nanos,
+            pose_from: read.pose_from.as_deref().map(PoseSource::read),
             skip: read.skip,
             grid: read.grid,
             states: states.collect::<Result<_, _>>()?,

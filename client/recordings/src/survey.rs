@@ -3,6 +3,8 @@
 //! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the
 //! first reason; none ends the survey.
 
+mod poses;
+
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
     sync::Arc,
@@ -17,8 +19,13 @@ use crate::{
     recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 
+use self::poses::Poses;
+pub use self::poses::{PoseSource, TakenPoses};
+
 /// Types whose messages are transforms.
 const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
+/// Types whose messages come from sensors that a robot carries.
+const SENSOR_TYPES: [&str; 2] = ["sensor_msgs/LaserScan", "sensor_msgs/PointCloud2"];
 
 /// First and last of some times, nanoseconds since 1970.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,6 +132,7 @@ pub struct Survey {
     watch: Option<ReadWatch>,
     /// Topics whose transforms are left out.
     skipped: Vec<String>,
+    poses: Option<Poses>,
     passed_over: u64,
     first_passed_over: Option<String>,
 }
@@ -142,6 +150,11 @@ impl Survey {
     /// Leaves out the transforms of some topics.
     pub fn without_transforms_of(topics: &[String]) -> Self {
         Self { skipped: topics.to_vec(), ..Self::default() }
+    }
+
+    /// Takes the poses of a topic in place of the transforms of the frame that has them.
+    pub fn take_poses(&mut self, source: PoseSource) {
+        self.poses = Some(Poses::new(source));
     }
 
     /// Watches how many bytes of the current file have been read.
@@ -172,6 +185,7 @@ impl Survey {
             parents: std::mem::take(&mut self.parents),
             watch: self.watch.take(),
             skipped: std::mem::take(&mut self.skipped),
+            poses: self.poses.take().map(|poses| Poses::new(poses.source)),
             ..Self::default()
         };
     }
@@ -183,10 +197,16 @@ impl Survey {
 
     /// Returns the contents: call it once after the last file.
     pub fn finish(mut self) -> Surveyed {
+        let is_sensor = |topic: &&TopicSurvey| SENSOR_TYPES.contains(&topic.type_name.as_str());
+        let sensor = self.topics.iter().filter(is_sensor).map(|topic| topic.frame.as_str());
+        let sensor = sensor.clone().find(|frame| !frame.is_empty()).unwrap_or_default();
+        self.too_many |= self.poses.as_ref().is_some_and(|poses| poses.has_too_many);
+        let poses = self.poses.take().map(|poses| poses.put_into(&mut self.frames, sensor));
         self.frames.finish();
         Surveyed {
             topics: self.topics,
             frames: self.frames,
+            poses,
             bad_transforms: self.bad_transforms,
             has_too_many_transforms: self.too_many,
             passed_over: self.first_passed_over.map(|first| (self.passed_over, first)),
@@ -223,6 +243,8 @@ pub struct Surveyed {
     pub topics: Vec<TopicSurvey>,
     /// The tree of its frames.
     pub frames: Frames,
+    /// The poses that were taken in place of transforms.
+    pub poses: Option<TakenPoses>,
     /// Number of transforms that are none: not finite, or without names.
     pub bad_transforms: u64,
     /// Whether the recording has more transforms than can be kept, so that some are missing.
@@ -290,6 +312,9 @@ impl Sink for Survey {
                 }
                 if topic.frame.is_empty() {
                     topic.frame = known::frame(&value);
+                }
+                if let Some(poses) = self.poses.as_mut().filter(|poses| poses.source.topic == topic.name) {
+                    poses.add(&topic.type_name, &value, message.recorded_nanos);
                 }
                 if is_transforms(&topic.type_name) && !self.skipped.contains(&topic.name) {
                     let is_static = frame_name(&topic.name).ends_with("tf_static");

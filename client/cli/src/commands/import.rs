@@ -21,7 +21,7 @@ use tidemap_recordings::{
     convert::Clock,
     mapping::Mapping,
     plan::{Plan, Wishes, plan},
-    survey::Surveyed,
+    survey::{PoseSource, Surveyed},
 };
 
 use self::{counts::TopicCounts, files::Recording, prepare::Prepared, transfer::ImportTransfer};
@@ -86,6 +86,10 @@ pub(crate) struct ImportArgs {
     /// the beam's own time, if the message gives times
     #[arg(long)]
     at_stamp: bool,
+    /// Takes the poses of a topic in place of transforms, such as /odom: nav_msgs/Odometry, geometry_msgs/PoseStamped or
+    /// PoseWithCovarianceStamped [default frame: that of the messages, else the body of the first sensor]
+    #[arg(long, value_name = "TOPIC[=FRAME]")]
+    pose_from: Option<String>,
     /// Between two transforms that differ and are further apart than this, nothing has a place [default: 2s]
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
     transform_gap: Option<i64>,
@@ -163,6 +167,7 @@ async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
         topics: args.topics.clone(),
         frame: args.frame.clone(),
         transform_gap_nanos: args.transform_gap,
+        pose_from: args.pose_from.as_deref().map(PoseSource::read),
     };
     let reading = (recording.clone(), wishes.clone(), bar.clone());
     let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1, &reading.2)).await;

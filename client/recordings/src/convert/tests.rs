@@ -3,6 +3,7 @@
 //! Invariant: what is expected follows from how the messages were written.
 
 mod markers;
+mod poses;
 mod times;
 
 use nalgebra::Point3;
@@ -136,6 +137,9 @@ fn converted(recorded: &Recorded, wishes: &Wishes, options: ConvertOptions) -> C
     let topics = topics(recorded);
     let index = |name: &str| topics.iter().position(|topic| topic.name == name).unwrap();
     let mut survey = Survey::default();
+    if let Some(source) = wishes.pose_source() {
+        survey.take_poses(source.clone());
+    }
     for topic in &topics {
         survey.topic(topic);
     }
@@ -144,7 +148,7 @@ fn converted(recorded: &Recorded, wishes: &Wishes, options: ConvertOptions) -> C
         survey.message(message, position).unwrap();
     }
     let surveyed = Arc::new(survey.finish());
-    let plan = plan(&surveyed, wishes).unwrap();
+    let plan = plan(&surveyed, wishes).unwrap_or_else(|error| panic!("{error}"));
     let mut converter = Converter::new(surveyed, Arc::new(plan), options);
     let wanted: Vec<bool> = topics.iter().map(|topic| converter.topic(topic)).collect();
     let mut made = Vec::new();

@@ -165,6 +165,9 @@ fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
 /// Reads the files once, to find their contents.
 pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyhow::Result<Surveyed> {
     let mut survey = Survey::without_transforms_of(&wishes.mapping.skip);
+    if let Some(source) = wishes.pose_source() {
+        survey.take_poses(source.clone());
+    }
     surveyed(recording, bar, &mut survey, true)?;
     if survey.has_too_many_transforms() {
         survey.again_with_sensors(wishes.frame.as_deref());
