@@ -190,6 +190,11 @@ impl Survey {
         };
     }
 
+    /// Number of messages so far.
+    pub fn messages(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.messages).sum()
+    }
+
     /// Whether the recording has more transforms than can be kept, so that some are missing.
     pub fn has_too_many_transforms(&self) -> bool {
         self.too_many

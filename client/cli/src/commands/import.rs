@@ -138,7 +138,14 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
     }
     if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
         list::print(session, &planned)?;
-        status_line("no observations can be made from these recordings: use --mapping for other topics");
+        let topics = &planned.surveyed.topics;
+        status_line(if topics.iter().all(|topic| topic.messages == 0) {
+            "no observations can be made from these recordings: they have no messages"
+        } else if topics.iter().all(|topic| topic.messages == topic.unread) {
+            "no observations can be made from these recordings: their messages cannot be read"
+        } else {
+            "no observations can be made from these recordings: use --mapping for other topics"
+        });
         return Ok(ExitCode::FAILURE);
     }
     list::report(&planned);
