@@ -235,7 +235,8 @@ impl Converter {
     pub fn convert(&mut self, of_file: usize, recorded_nanos: i64, data: &[u8]) -> Vec<Result<Item, NotMade>> {
         let Some(connection) = self.connections.get(of_file) else { return Vec::new() };
         let index = connection.topic;
-        let message = match connection.read(data) {
+        let mut buffer = Vec::new();
+        let message = match connection.read(data, &mut buffer) {
             Ok(message) => message,
             Err(problem) => return vec![Err(NotMade::Wrong(problem))],
         };

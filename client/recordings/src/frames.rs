@@ -5,7 +5,7 @@
 //! between two that differ and are far apart in time, or too far in space for their time. The number of samples is
 //! bounded.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -140,6 +140,8 @@ pub struct Frames {
     samples: usize,
     conflicts: BTreeSet<String>,
     gap_nanos: Option<i64>,
+    /// Frames whose transforms hold for all time if they do not change.
+    lasting: HashSet<String>,
 }
 
 /// A frame's name without the leading slash of old recordings.
@@ -204,6 +206,13 @@ impl Frames {
         Ok(())
     }
 
+    /// Makes the transforms of a frame hold for all time if they do not change: Foxglove has no static ones.
+    pub fn last(&mut self, child: &str) {
+        if !self.lasting.contains(child) && self.lasting.len() < FRAMES_MAX {
+            self.lasting.insert(child.to_owned());
+        }
+    }
+
     fn conflict(&mut self, child: &str) {
         if self.conflicts.len() < CONFLICTS_MAX && !self.conflicts.contains(child) {
             self.conflicts.insert(child.to_owned());
@@ -218,8 +227,16 @@ impl Frames {
     /// Chooses parents and sorts what came out of order; call it once after the last transform. If two samples have one
     /// time, the later one counts.
     pub fn finish(&mut self) {
-        for link in self.links.values_mut() {
+        for (child, link) in &mut self.links {
             let Link::Moving(tracks) = link else { continue };
+            if self.lasting.contains(child)
+                && let [Track { parent, samples, .. }] = tracks.as_slice()
+                && let Some(first) = samples.first()
+                && samples.iter().all(|sample| is_near(&sample.pose, &first.pose))
+            {
+                *link = Link::Static { parent: parent.clone(), pose: first.pose };
+                continue;
+            }
             tracks.sort_by_key(|track| std::cmp::Reverse(track.samples.len()));
             tracks.truncate(1);
             for Track { samples, is_sorted, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {

@@ -9,7 +9,7 @@ mod poses;
 use crate::{
     definition::Count,
     frames::GAP_NANOS,
-    known::pose_path,
+    known::{self, pose_path},
     layout::Kind,
     mapping::{Mapping, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule},
     survey::{PoseSource, Surveyed, TopicSurvey, is_transforms},
@@ -280,8 +280,8 @@ fn mapped(topic: &TopicSurvey, mapping: &Mapping) -> Result<TopicPlan, PlanError
 
 fn usual_grid(topic: &TopicSurvey) -> TopicPlan {
     let grid = match topic.type_name.as_str() {
-        "sensor_msgs/LaserScan" => Some(GridUse::Scans),
-        "sensor_msgs/PointCloud2" => Some(GridUse::Clouds),
+        name if known::is_scan(name) => Some(GridUse::Scans),
+        name if known::is_cloud(name) => Some(GridUse::Clouds),
         "nav_msgs/OccupancyGrid" => Some(GridUse::Grids),
         "map_msgs/OccupancyGridUpdate" => Some(GridUse::GridChanges(usize::MAX)),
         _ => None,

@@ -12,11 +12,12 @@ use std::{
 
 use crate::{
     definition::Constant,
+    foreign::Translator,
     frames::{Frames, TransformError, frame_name},
     known::{self, Grid},
     layout::{self, Structure},
     message::{self, Value},
-    recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
+    recording::{Encoding, RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 
 use self::poses::Poses;
@@ -24,8 +25,8 @@ pub use self::poses::{PoseSource, TakenPoses};
 
 /// Types whose messages are transforms.
 const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
-/// Types whose messages come from sensors that a robot carries.
-const SENSOR_TYPES: [&str; 2] = ["sensor_msgs/LaserScan", "sensor_msgs/PointCloud2"];
+/// Types of Foxglove whose messages are transforms.
+const FOXGLOVE_TRANSFORMS: [&str; 2] = ["FrameTransform", "FrameTransforms"];
 
 /// First and last of some times, nanoseconds since 1970.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,13 +87,19 @@ pub(crate) struct TopicReader {
     /// Index of the topic among the topics of the survey.
     pub(crate) topic: usize,
     pub(crate) layout: Result<Arc<Structure>, String>,
-    pub(crate) encoding: crate::recording::Encoding,
+    pub(crate) encoding: Encoding,
+    translator: Option<Translator>,
 }
 
 impl TopicReader {
-    pub(crate) fn read<'a>(&self, data: &'a [u8]) -> Result<Value<'a>, String> {
+    /// Reads a message; `buffer` takes its bytes if they have to be brought into another layout.
+    pub(crate) fn read<'a>(&self, data: &'a [u8], buffer: &'a mut Vec<u8>) -> Result<Value<'a>, String> {
         let layout = self.layout.as_ref().map_err(String::clone)?;
-        message::read(layout, &self.encoding, data).map_err(|error| error.to_string())
+        let Some(translator) = &self.translator else {
+            return message::read(layout, &self.encoding, data).map_err(|error| error.to_string());
+        };
+        translator.translate(data, buffer)?;
+        message::read(layout, &Encoding::Ros1, buffer).map_err(|error| error.to_string())
     }
 }
 
@@ -110,9 +117,18 @@ impl TopicTable {
 }
 
 pub(crate) fn connection(topic: &Topic, index: usize) -> TopicReader {
-    let layout =
-        layout::of_type(&topic.type_name, &topic.definition, &topic.encoding).map_err(|error| error.to_string());
-    TopicReader { topic: index, layout, encoding: topic.encoding.clone() }
+    let Topic { type_name, encoding, definition, .. } = topic;
+    let (layout, translator) = match (Translator::of_topic(type_name, encoding), encoding) {
+        (Some(Ok(translator)), _) => (Ok(translator.layout()), Some(translator)),
+        (Some(Err(why)), _) => (Err(why), None),
+        (None, Encoding::Unreadable(why)) => (Err(why.clone()), None),
+        (None, Encoding::Other(name)) => {
+            let why = format!("its messages are in the encoding {name:?}; CDR, ROS 1, JSON and protobuf are read");
+            (Err(why), None)
+        }
+        (None, _) => (layout::of_type(type_name, definition, encoding).map_err(|error| error.to_string()), None),
+    };
+    TopicReader { topic: index, layout, encoding: encoding.clone(), translator }
 }
 
 /// Surveys a recording: give it to a reader as the sink, for each file of the recording after [`Survey::next_file`].
@@ -202,7 +218,7 @@ impl Survey {
 
     /// Returns the contents: call it once after the last file.
     pub fn finish(mut self) -> Surveyed {
-        let is_sensor = |topic: &&TopicSurvey| SENSOR_TYPES.contains(&topic.type_name.as_str());
+        let is_sensor = |topic: &&TopicSurvey| known::is_scan(&topic.type_name) || known::is_cloud(&topic.type_name);
         let sensor = self.topics.iter().filter(is_sensor).map(|topic| topic.frame.as_str());
         let sensor = sensor.clone().find(|frame| !frame.is_empty()).unwrap_or_default();
         self.too_many |= self.poses.as_ref().is_some_and(|poses| poses.has_too_many);
@@ -218,7 +234,13 @@ impl Survey {
         }
     }
 
-    fn transforms(&mut self, message: &Value<'_>, recorded_nanos: i64, is_static: bool) -> Result<(), String> {
+    fn transforms(
+        &mut self,
+        message: &Value<'_>,
+        recorded_nanos: i64,
+        is_static: bool,
+        lasts: bool,
+    ) -> Result<(), String> {
         for transform in known::transforms(message).map_err(|error| error.to_string())? {
             let Ok(mut transform) = transform else {
                 self.bad_transforms += 1;
@@ -232,6 +254,9 @@ impl Survey {
             }
             if self.kept.as_ref().is_some_and(|kept| !is_static && !kept.contains(&transform.child)) {
                 continue;
+            }
+            if lasts {
+                self.frames.last(&transform.child);
             }
             if self.frames.add(transform, is_static) == Err(TransformError::TooMany) {
                 self.too_many = true;
@@ -260,7 +285,11 @@ pub struct Surveyed {
 
 /// Whether the messages of a type are transforms.
 pub fn is_transforms(type_name: &str) -> bool {
-    TRANSFORM_TYPES.contains(&type_name)
+    TRANSFORM_TYPES.contains(&type_name) || is_foxglove_transforms(type_name)
+}
+
+fn is_foxglove_transforms(type_name: &str) -> bool {
+    known::foxglove_type(type_name).is_some_and(|name| FOXGLOVE_TRANSFORMS.contains(&name))
 }
 
 impl Sink for Survey {
@@ -299,7 +328,8 @@ impl Sink for Survey {
         }
         let Some(connection) = self.connections.get(message.topic) else { return Ok(()) };
         let index = connection.topic;
-        let read = connection.read(message.data);
+        let mut buffer = Vec::new();
+        let read = connection.read(message.data, &mut buffer);
         let Some(topic) = self.topics.get_mut(index) else { return Ok(()) };
         topic.messages += 1;
         TimeSpan::extend(&mut topic.recorded, message.recorded_nanos);
@@ -323,7 +353,8 @@ impl Sink for Survey {
                 }
                 if is_transforms(&topic.type_name) && !self.skipped.contains(&topic.name) {
                     let is_static = frame_name(&topic.name).ends_with("tf_static");
-                    self.transforms(&value, message.recorded_nanos, is_static).err()
+                    let lasts = is_foxglove_transforms(&topic.type_name);
+                    self.transforms(&value, message.recorded_nanos, is_static, lasts).err()
                 } else {
                     None
                 }

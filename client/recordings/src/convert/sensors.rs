@@ -16,13 +16,15 @@ use crate::{
 const SCAN_NANOS_MAX: f64 = 1.001e9;
 
 impl Converter {
-    /// The pose of a sensor, as [`Converter::pose`] gives it. Points that a program has put into a frame that does not
+    /// The pose of a sensor that has this pose within its frame, as [`Converter::pose`] gives it. Points that a program has put into a frame that does not
     /// move come from elsewhere.
-    fn sensor_pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
-        if self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {
+    fn sensor_pose(&self, frame: &str, own: &Isometry3<f64>, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
+        let has_own = *own != Isometry3::identity();
+        if !has_own && self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {
             return Err(NotMade::NoSensor(frame.to_owned()));
         }
-        self.pose(frame, stamp_nanos)
+        let pose = self.pose(frame, stamp_nanos)?;
+        Ok(if has_own { pose * own } else { pose })
     }
 
     /// Whether the beams of a sensor may have different poses.
@@ -32,13 +34,19 @@ impl Converter {
     }
 
     /// The motion of a sensor between two times after a stamp, in nanoseconds; absent if it stands still.
-    fn motion(&self, frame: &str, stamp: i64, span: [f64; 2], reach_m: f64) -> Result<Option<Motion>, NotMade> {
-        Motion::between(stamp, span, reach_m, |nanos| self.sensor_pose(frame, nanos))
+    fn motion(
+        &self,
+        (frame, own): (&str, &Isometry3<f64>),
+        stamp: i64,
+        span: [f64; 2],
+        reach_m: f64,
+    ) -> Result<Option<Motion>, NotMade> {
+        Motion::between(stamp, span, reach_m, |nanos| self.sensor_pose(frame, own, nanos))
     }
 
     pub(super) fn scan(&mut self, index: usize, message: &Value<'_>, frame: &str, stamp: i64) -> Result<Made, NotMade> {
         let scan = LaserScan::read(message)?;
-        let pose = self.sensor_pose(frame, stamp)?;
+        let pose = self.sensor_pose(frame, &scan.pose, stamp)?;
         let beams = self.beams.entry(index).or_default();
         let ranges_m: Vec<f32> =
             scan.ranges_m().map(|range| taken_range(range, beams.count(scan.beam(range)))).collect();
@@ -73,7 +81,7 @@ impl Converter {
         let span = [*first, *last].map(|ray| ray as f64 * increment_nanos);
         let span = if increment_nanos < 0.0 { [span[1], span[0]] } else { span };
         let reach_m = hits.iter().map(|(_, [x, y, _])| x * x + y * y).fold(0.0, f64::max).sqrt();
-        let Some(motion) = self.motion(frame, stamp, span, reach_m)? else { return Ok(None) };
+        let Some(motion) = self.motion((frame, &Isometry3::identity()), stamp, span, reach_m)? else { return Ok(None) };
         let points_m: Vec<[f32; 3]> = hits
             .into_iter()
             .map(|(ray, point)| motion.moved(point, ray as f64 * increment_nanos).map(|along| along as f32))
@@ -89,14 +97,14 @@ impl Converter {
         stamp: i64,
     ) -> Result<Made, NotMade> {
         let cloud = Cloud::read(message)?;
-        let pose = self.sensor_pose(frame, stamp)?;
+        let pose = self.sensor_pose(frame, cloud.pose(), stamp)?;
         let times = if self.may_move(frame) { cloud.times(stamp) } else { (PointTimes::Absent, [0.0; 2]) };
         let motion = match times {
             (PointTimes::Known { factor, base }, span) => {
                 let squares = |[x, y, z]: [f64; 3]| x * x + y * y + z * z;
                 let returns = cloud.points().filter(Cloud::is_return);
                 let reach_m = returns.map(squares).fold(0.0, f64::max).sqrt();
-                self.motion(frame, stamp, span, reach_m)?.map(|motion| (motion, factor, base))
+                self.motion((frame, cloud.pose()), stamp, span, reach_m)?.map(|motion| (motion, factor, base))
             }
             _ => None,
         };

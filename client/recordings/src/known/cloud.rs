@@ -2,7 +2,9 @@
 //!
 //! Invariant: every point of a cloud lies within its bytes.
 
-use super::{Fields, KnownError};
+use nalgebra::Isometry3;
+
+use super::{Fields, KnownError, own_pose};
 use crate::{
     definition::Primitive,
     message::{self, Value},
@@ -10,10 +12,6 @@ use crate::{
 
 /// Maximum number of points of a cloud.
 const POINTS_MAX: usize = 2_000_000;
-/// Number types of `sensor_msgs/PointField`.
-const FLOAT32: usize = 7;
-const FLOAT64: usize = 8;
-
 /// Names of the field with the time of each point, as drivers write it: Ouster, Velodyne, Hesai and RoboSense, Livox,
 /// Blickfeld, Aeva.
 const TIME_NAMES: [&str; 6] = ["t", "time", "timestamp", "offset_time", "point_time_offset", "time_offset_ns"];
@@ -54,6 +52,7 @@ pub struct Cloud<'a> {
     width: usize,
     height: usize,
     is_big_endian: bool,
+    pose: Isometry3<f64>,
     bytes: &'a [u8],
 }
 
@@ -63,6 +62,9 @@ impl<'a> Cloud<'a> {
     /// # Errors
     /// A field is missing, the cloud has no x, y and z of type float32 or float64, or its lengths do not fit together.
     pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
+        if message.field("point_stride").is_some() {
+            return Self::read_foxglove(message);
+        }
         let fields = Fields { type_name: "sensor_msgs/PointCloud2", message };
         let (width, height) = (fields.size(&["width"])?, fields.size(&["height"])?);
         let (point_step, row_step) = (fields.size(&["point_step"])?, fields.size(&["row_step"])?);
@@ -96,7 +98,31 @@ impl<'a> Cloud<'a> {
         if !is_empty && (!is_row_long || point_step < axes_end || needed.is_none_or(|needed| needed > bytes.len())) {
             return Err(wrong());
         }
-        Ok(Self { axes, time, point_step, row_step, width, height, is_big_endian, bytes })
+        let pose = Isometry3::identity();
+        Ok(Self { pose, axes, time, point_step, row_step, width, height, is_big_endian, bytes })
+    }
+
+    /// Reads a cloud of Foxglove, which is one row of points.
+    fn read_foxglove(message: &Value<'a>) -> Result<Self, KnownError> {
+        let fields = Fields { type_name: "foxglove.PointCloud", message };
+        let point_step = fields.size(&["point_stride"])?;
+        let bytes = fields.numbers(&["data"])?.bytes;
+        let axes = [axis(&fields, "x")?, axis(&fields, "y")?, axis(&fields, "z")?];
+        let time = TIME_NAMES.iter().find_map(|name| time_field(&fields, name)).filter(|time| time.ends_by(point_step));
+        let width = bytes.len().checked_div(point_step).unwrap_or(0);
+        if width > POINTS_MAX || width > 0 && !axes.iter().all(|axis| axis.ends_by(point_step)) {
+            return Err(KnownError::Values(format!(
+                "a cloud of {width} points of {point_step} bytes; at most {POINTS_MAX} are read"
+            )));
+        }
+        let row_step = width.saturating_mul(point_step);
+        let pose = own_pose(&fields)?;
+        Ok(Self { axes, time, point_step, row_step, width, height: 1, is_big_endian: false, pose, bytes })
+    }
+
+    /// Pose of the sensor within the frame of the message.
+    pub fn pose(&self) -> &Isometry3<f64> {
+        &self.pose
     }
 
     /// Number of points, those without valid coordinates included.
@@ -193,19 +219,19 @@ impl Axis {
 fn time_field(fields: &Fields<'_, '_>, name: &str) -> Option<Axis> {
     let field = named(fields.value(&["fields"]).ok()?.list()?, name)?;
     let field = Fields { type_name: "sensor_msgs/PointField", message: field };
-    let primitive = match field.size(&["datatype"]).ok()? {
-        1 => Primitive::Int8,
-        2 => Primitive::Uint8,
-        3 => Primitive::Int16,
-        4 => Primitive::Uint16,
-        5 => Primitive::Int32,
-        6 => Primitive::Uint32,
-        FLOAT32 => Primitive::Float32,
-        FLOAT64 => Primitive::Float64,
-        _ => return None,
-    };
+    let primitive = number_type(&field).ok()??;
     let count = field.size(&["count"]).unwrap_or(1);
     (count <= 1).then_some(Axis { offset: field.size(&["offset"]).ok()?, primitive })
+}
+
+/// The type of the numbers of a field: ROS and Foxglove have different numbers for them.
+fn number_type(field: &Fields<'_, '_>) -> Result<Option<Primitive>, KnownError> {
+    use Primitive::{Float32, Float64, Int8, Int16, Int32, Uint8, Uint16, Uint32};
+    let (number, types) = match field.message.field("datatype") {
+        Some(_) => (field.size(&["datatype"])?, [Int8, Uint8, Int16, Uint16, Int32, Uint32, Float32, Float64]),
+        None => (field.size(&["type"])?, [Uint8, Int8, Uint16, Int16, Uint32, Int32, Float32, Float64]),
+    };
+    Ok(number.checked_sub(1).and_then(|index| types.get(index)).copied())
 }
 
 fn named<'m, 'a>(list: &'m [Value<'a>], name: &str) -> Option<&'m Value<'a>> {
@@ -219,11 +245,13 @@ fn axis(fields: &Fields<'_, '_>, name: &str) -> Result<Axis, KnownError> {
         return Err(KnownError::Values(format!("the cloud has no {name}; it has {}", names.join(", "))));
     };
     let field = Fields { type_name: "sensor_msgs/PointField", message: found };
-    let primitive = match field.size(&["datatype"])? {
-        FLOAT32 => Primitive::Float32,
-        FLOAT64 => Primitive::Float64,
+    let primitive = match number_type(&field)? {
+        Some(primitive @ (Primitive::Float32 | Primitive::Float64)) => primitive,
         other => {
-            return Err(KnownError::Values(format!("{name} of the cloud has number type {other}; 7 and 8 are read")));
+            let other = other.map_or("of an unknown type".to_owned(), |other| format!("of type {other:?}"));
+            return Err(KnownError::Values(format!(
+                "{name} of the cloud has numbers {other}; float32 and float64 are read"
+            )));
         }
     };
     let offset = field.size(&["offset"])?;
