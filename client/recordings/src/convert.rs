@@ -3,20 +3,23 @@
 //! Invariant: the same recording and plan make the same observations in the same order, whatever the speed. A message
 //! becomes observations, or it is counted with the reason why not.
 
+mod beams;
 mod merged;
+mod motion;
+mod sensors;
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use nalgebra::Isometry3;
 
-pub use self::merged::CellSize;
+pub use self::{beams::BeamCounts, merged::CellSize};
 
 use crate::{
     frames::{FrameError, frame_name},
-    known::{self, Cloud, Grid, GridUpdate, KnownError, LaserScan},
+    known::{self, Grid, GridUpdate, KnownError},
     mapping::{PositionRule, StateRule, TraversalRule, ValueKind, ValueRule, shown},
     message::Value,
-    plan::{FrameChoice, GridUse, Plan, TopicPlan},
+    plan::{GridUse, Plan, TopicPlan},
     recording::Topic,
     survey::{Surveyed, TopicReader, TopicTable, connection},
 };
@@ -47,7 +50,7 @@ pub struct PlacedScan {
     pub range_min_m: f64,
     /// Largest valid range, metres.
     pub range_max_m: f64,
-    /// Valid ranges, metres; infinity: no echo; NaN: no reading.
+    /// Valid ranges, metres; infinity: no return; NaN: no reading.
     pub ranges_m: Vec<f32>,
 }
 
@@ -56,9 +59,9 @@ pub struct PlacedScan {
 pub struct PlacedCloud {
     /// Pose of the sensor.
     pub pose: Isometry3<f64>,
-    /// Finite points in the frame of the sensor, metres.
+    /// Points where beams have ended, in the frame of the sensor, metres.
     pub points_m: Vec<[f32; 3]>,
-    /// Number of finite points before points of one cell were merged.
+    /// Number of these points before points of one cell were merged.
     pub points_before: usize,
 }
 
@@ -178,6 +181,8 @@ pub struct ConvertOptions {
     pub merge: Option<CellSize>,
     /// One of the scans, clouds and grids of a topic is taken in each period of this length, nanoseconds; all if 0.
     pub period_nanos: i64,
+    /// Whether all beams of a scan or cloud are placed at the time of its header, not each at its own.
+    pub at_header: bool,
 }
 
 /// Makes observations of messages.
@@ -192,13 +197,15 @@ pub struct Converter {
     connections: Vec<TopicReader>,
     /// The last grid of each topic of grids whose changes are taken.
     grids: BTreeMap<usize, (PlacedGrid, String)>,
+    /// The beams of the placed scans and clouds of each topic.
+    beams: BTreeMap<usize, BeamCounts>,
 }
 
 impl Converter {
     /// Prepares to convert.
     pub fn new(surveyed: Arc<Surveyed>, plan: Arc<Plan>, options: ConvertOptions) -> Self {
-        let (table, connections, grids, taken) = Default::default();
-        Self { surveyed, plan, options, taken, table, connections, grids }
+        let (table, connections, grids, taken, beams) = Default::default();
+        Self { surveyed, plan, options, taken, table, connections, grids, beams }
     }
 
     /// Begins the next file of the recording.
@@ -219,11 +226,17 @@ impl Converter {
         self.connections.get(of_file).map(|connection| connection.topic)
     }
 
+    /// The beams of the scans and clouds of each topic so far, those without a place left out.
+    pub fn beams(&self) -> &BTreeMap<usize, BeamCounts> {
+        &self.beams
+    }
+
     /// Makes observations of a message.
     pub fn convert(&mut self, of_file: usize, recorded_nanos: i64, data: &[u8]) -> Vec<Result<Item, NotMade>> {
         let Some(connection) = self.connections.get(of_file) else { return Vec::new() };
         let index = connection.topic;
-        let message = match connection.read(data) {
+        let mut buffer = Vec::new();
+        let message = match connection.read(data, &mut buffer) {
             Ok(message) => message,
             Err(problem) => return vec![Err(NotMade::Wrong(problem))],
         };
@@ -274,47 +287,11 @@ impl Converter {
         }
     }
 
-    /// The pose of a sensor, as [`Converter::pose`] gives it. Points that a program has put into a frame that does not
-    /// move come from elsewhere.
-    fn sensor_pose(&self, frame: &str, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
-        if self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {
-            return Err(NotMade::NoSensor(frame.to_owned()));
-        }
-        self.pose(frame, stamp_nanos)
-    }
-
     fn grid(&mut self, grid: GridUse, index: usize, message: &Value<'_>, stamp: i64) -> Result<Made, NotMade> {
         let frame = known::frame(message);
         match grid {
-            GridUse::Scans => {
-                let scan = LaserScan::read(message)?;
-                let pose = self.sensor_pose(&frame, stamp)?;
-                let ranges_m: Vec<f32> = scan.ranges_m().map(|range| taken_range(&scan, range)).collect();
-                if ranges_m.iter().all(|range| range.is_nan()) {
-                    return Err(NotMade::Nothing("the scan has no valid range"));
-                }
-                let LaserScan { angle_min_rad, angle_increment_rad, range_min_m, range_max_m, .. } = scan;
-                let placed =
-                    PlacedScan { pose, angle_min_rad, angle_increment_rad, range_min_m, range_max_m, ranges_m };
-                Ok(Made::Scan(placed))
-            }
-            GridUse::Clouds => {
-                let cloud = Cloud::read(message)?;
-                let pose = self.sensor_pose(&frame, stamp)?;
-                let finite = cloud.points().filter(|point| point.iter().all(|along| along.is_finite()));
-                let (points_m, points_before) = match self.options.merge {
-                    Some(cell) => merged::points(finite, cloud.len(), &pose, cell),
-                    None => {
-                        let points: Vec<[f32; 3]> = finite.map(|point| point.map(|along| along as f32)).collect();
-                        let count = points.len();
-                        (points, count)
-                    }
-                };
-                if points_m.is_empty() {
-                    return Err(NotMade::Nothing("the cloud has no finite point"));
-                }
-                Ok(Made::Cloud(PlacedCloud { pose, points_m, points_before }))
-            }
+            GridUse::Scans => self.scan(index, message, &frame, stamp),
+            GridUse::Clouds => self.cloud(index, message, &frame, stamp),
             GridUse::Grids => {
                 let grid = Grid::read(message)?;
                 let place = if frame.is_empty() { Isometry3::identity() } else { self.pose(&frame, stamp)? };
@@ -373,12 +350,6 @@ impl Converter {
 
 fn no_name() -> NotMade {
     NotMade::Wrong("a field of the state's name is missing, or the name is too long".to_owned())
-}
-
-/// A range as the grid takes it. By REP 117, infinity is no echo, minus infinity an object too near, and NaN no
-/// reading; readings outside of the sensor's limits carry no information.
-fn taken_range(scan: &LaserScan<'_>, range_m: f64) -> f32 {
-    if scan.is_valid(range_m) || range_m == f64::INFINITY { range_m as f32 } else { f32::NAN }
 }
 
 fn change(grid: &mut PlacedGrid, update: &GridUpdate<'_>) -> Result<(), NotMade> {
@@ -450,3 +421,6 @@ fn traversal(rule: &TraversalRule, message: &Value<'_>, end_nanos: i64) -> Resul
     let reason = if success { String::new() } else { status };
     Ok(Made::Traversal { from, to, start_nanos, success, reason })
 }
+
+#[cfg(test)]
+mod tests;

@@ -42,6 +42,8 @@ pub enum Primitive {
     Float64,
     /// Text.
     Text,
+    /// Text of wide letters, UTF-16.
+    WideText,
     /// Seconds and nanoseconds of ROS 1, both unsigned.
     Time,
     /// Seconds and nanoseconds of ROS 1, both signed.
@@ -64,6 +66,7 @@ impl Primitive {
             "float32" => Self::Float32,
             "float64" => Self::Float64,
             "string" => Self::Text,
+            "wstring" => Self::WideText,
             "time" => Self::Time,
             "duration" => Self::Duration,
             _ => return None,
@@ -77,7 +80,7 @@ impl Primitive {
             Self::Int16 | Self::Uint16 => 2,
             Self::Int32 | Self::Uint32 | Self::Float32 => 4,
             Self::Int64 | Self::Uint64 | Self::Float64 | Self::Time | Self::Duration => 8,
-            Self::Text => return None,
+            Self::Text | Self::WideText => return None,
         })
     }
 }
@@ -235,7 +238,7 @@ fn parse_line(package: &str, line: &str, definition: &mut Definition) -> Option<
     }
     if let Some(value) = behind.trim_start().strip_prefix('=') {
         // A constant of type string may contain `#`.
-        let is_text = type_text.starts_with("string");
+        let is_text = type_text.starts_with("string") || type_text.starts_with("wstring");
         let value = if is_text { value } else { value.split('#').next().unwrap_or_default() };
         definition.constants.push(Constant { name: name.to_owned(), value: value.trim().to_owned() });
         return Some(());

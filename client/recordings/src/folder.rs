@@ -15,6 +15,9 @@ pub const METADATA_BYTES_MAX: usize = 4 << 20;
 /// End of the names of files that are compressed as a whole. [`ZstdStream`](crate::zstd_stream::ZstdStream) reads them.
 pub const ZSTD_ENDING: &str = ".zstd";
 
+/// Ends of the names of the files of recordings.
+const ENDINGS: [&str; 4] = [".db3", ".mcap", ".db3.zstd", ".mcap.zstd"];
+
 /// Before this version, the name of the folder stands before the names of its files.
 const VERSION_WITH_RELATIVE_NAMES: i64 = 4;
 
@@ -88,6 +91,50 @@ impl Folder {
         }
         Ok(Self { storage: information.storage_identifier, files, compression })
     }
+}
+
+/// Names of a recording's files in a folder, for the names that its `metadata.yaml` lists: files may have been renamed.
+/// `present`: the files of the folder, those inside of its own folders left out. The second value has the pairs of a
+/// listed name that is missing, and the file that is taken in its place.
+///
+/// # Errors
+/// Listed files are missing, and it is not clear which others they are.
+pub fn renamed(
+    listed: Vec<String>,
+    present: &[String],
+) -> Result<(Vec<String>, Vec<(String, String)>), RecordingError> {
+    let is_there = |name: &String| present.contains(name) || name.contains('/');
+    let missing: Vec<&String> = listed.iter().filter(|name| !is_there(name)).collect();
+    if missing.is_empty() {
+        return Ok((listed, Vec::new()));
+    }
+    let is_other = |name: &&String| !listed.contains(name) && ENDINGS.iter().any(|ending| name.ends_with(ending));
+    let mut others: Vec<&String> = present.iter().filter(is_other).collect();
+    others.sort_by_key(|name| (last_number(name), (*name).clone()));
+    // Several files are in the order of the numbers in their names.
+    let numbers: Vec<Option<u64>> = others.iter().map(|name| last_number(name)).collect();
+    let is_ordered = others.len() == 1 || numbers.windows(2).all(|pair| pair[0].is_some() && pair[0] < pair[1]);
+    if others.len() != missing.len() || !is_ordered {
+        let names = |names: &[&String]| {
+            let names: Vec<&str> = names.iter().take(10).map(|name| name.as_str()).collect();
+            if names.is_empty() { "no other recording".to_owned() } else { names.join(", ") }
+        };
+        return Err(RecordingError::Broken(format!(
+            "{METADATA_NAME} lists {}, which the folder does not have; it has {}: name the files themselves",
+            names(&missing),
+            names(&others)
+        )));
+    }
+    let pairs: Vec<(String, String)> = missing.into_iter().cloned().zip(others.into_iter().cloned()).collect();
+    let now = |name: String| pairs.iter().find(|(before, _)| *before == name).map_or(name, |(_, now)| now.clone());
+    Ok((listed.iter().cloned().map(now).collect(), pairs))
+}
+
+/// The last number in a name, before its endings: rosbag2 numbers the files of a recording.
+fn last_number(name: &str) -> Option<u64> {
+    let stem = name.split('.').next().unwrap_or(name);
+    let digits = stem.len() - stem.bytes().rev().take_while(u8::is_ascii_digit).count();
+    stem.get(digits..)?.parse().ok()
 }
 
 fn compression(information: &Information) -> Result<Compression, RecordingError> {
@@ -171,6 +218,29 @@ mod tests {
                 let error = Folder::parse(&text(version, &format!("    - {path}"), "")).unwrap_err().to_string();
                 assert!(error.contains("not inside"), "{path}: {error}");
             }
+        }
+    }
+
+    #[test]
+    fn renamed_files_are_found_where_it_is_clear_which_they_are() {
+        let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+        let found = |listed: &[&str], present: &[&str]| {
+            renamed(names(listed), &names(present)).map(|(files, _)| files).map_err(|error| error.to_string())
+        };
+        assert_eq!(found(&["a_0.db3"], &["metadata.yaml", "a_0.db3"]), Ok(names(&["a_0.db3"])));
+        assert_eq!(found(&["a_0.db3"], &["metadata.yaml", "monday.db3", "monday.db3-wal"]), Ok(names(&["monday.db3"])));
+        let listed = ["a_0.mcap", "a_1.mcap", "a_2.mcap"];
+        assert_eq!(
+            found(&listed, &["b_2.mcap", "a_1.mcap", "b_10.mcap"]),
+            Ok(names(&["b_2.mcap", "a_1.mcap", "b_10.mcap"]))
+        );
+        for (listed, present) in [
+            (&["a_0.db3"][..], &["b_0.db3", "c_0.db3"][..]),
+            (&["a_0.db3", "a_1.db3"], &["left.db3", "right.db3"]),
+            (&["a_0.db3"], &["notes.txt"]),
+        ] {
+            let error = found(listed, present).unwrap_err();
+            assert!(error.contains("metadata.yaml lists a_0.db3") && error.contains("name the files"), "{error}");
         }
     }
 

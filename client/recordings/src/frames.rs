@@ -1,15 +1,22 @@
 //! Frames of a robot and the transforms between them: the tree of tf.
 //!
 //! Invariant: a static transform holds for all time; another one only between its first and its last sample. Between
-//! two samples it is interpolated: the translation along a line, the rotation along the shorter arc. The number of
-//! samples is bounded.
+//! two samples it is interpolated: the translation along a line, the rotation along the shorter arc. It is unknown
+//! between two that differ and are far apart in time, or too far in space for their time. The number of samples is
+//! bounded.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Maximum number of samples of all transforms, 64 bytes each.
 pub const SAMPLES_MAX: usize = 600_000;
+/// Between two samples that differ, a transform is unknown if they are further apart than this, nanoseconds, unless
+/// [`Frames::set_gap`] states another time.
+pub const GAP_NANOS: i64 = 2_000_000_000;
+/// Two poses are alike up to this distance, metres, and angle, radians.
+const ALIKE_M: f64 = 1e-3;
+const ALIKE_RAD: f64 = 1e-3;
 /// Maximum number of frames.
 const FRAMES_MAX: usize = 10_000;
 /// Maximum number of parents of a frame, and of frames that are named as conflicts.
@@ -54,6 +61,19 @@ pub enum FrameError {
         parent: String,
         /// Child of the link.
         child: String,
+    },
+    /// The samples before and after the time are far apart, and differ.
+    #[error(
+        "the transforms from {parent:?} to {child:?} before and after it are more than {} s apart and differ; \
+         --transform-gap allows more", *.gap_nanos as f64 / 1e9
+    )]
+    Gap {
+        /// Parent of the link.
+        parent: String,
+        /// Child of the link.
+        child: String,
+        /// The longest time between samples, nanoseconds.
+        gap_nanos: i64,
     },
     /// The time lies after the last sample of a link.
     #[error("the time is after the last transform from {parent:?} to {child:?}")]
@@ -119,6 +139,9 @@ pub struct Frames {
     links: HashMap<String, Link>,
     samples: usize,
     conflicts: BTreeSet<String>,
+    gap_nanos: Option<i64>,
+    /// Frames whose transforms hold for all time if they do not change.
+    lasting: HashSet<String>,
 }
 
 /// A frame's name without the leading slash of old recordings.
@@ -183,6 +206,13 @@ impl Frames {
         Ok(())
     }
 
+    /// Makes the transforms of a frame hold for all time if they do not change: Foxglove has no static ones.
+    pub fn last(&mut self, child: &str) {
+        if !self.lasting.contains(child) && self.lasting.len() < FRAMES_MAX {
+            self.lasting.insert(child.to_owned());
+        }
+    }
+
     fn conflict(&mut self, child: &str) {
         if self.conflicts.len() < CONFLICTS_MAX && !self.conflicts.contains(child) {
             self.conflicts.insert(child.to_owned());
@@ -197,8 +227,16 @@ impl Frames {
     /// Chooses parents and sorts what came out of order; call it once after the last transform. If two samples have one
     /// time, the later one counts.
     pub fn finish(&mut self) {
-        for link in self.links.values_mut() {
+        for (child, link) in &mut self.links {
             let Link::Moving(tracks) = link else { continue };
+            if self.lasting.contains(child)
+                && let [Track { parent, samples, .. }] = tracks.as_slice()
+                && let Some(first) = samples.first()
+                && samples.iter().all(|sample| is_near(&sample.pose, &first.pose))
+            {
+                *link = Link::Static { parent: parent.clone(), pose: first.pose };
+                continue;
+            }
             tracks.sort_by_key(|track| std::cmp::Reverse(track.samples.len()));
             tracks.truncate(1);
             for Track { samples, is_sorted, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {
@@ -211,6 +249,27 @@ impl Frames {
         }
     }
 
+    /// Forgets the transforms of a frame, static ones too.
+    pub fn remove(&mut self, child: &str) {
+        if let Some(Link::Moving(tracks)) = self.links.remove(child) {
+            let samples: usize = tracks.iter().map(|track| track.samples.len()).sum();
+            self.samples = self.samples.saturating_sub(samples);
+        }
+        self.conflicts.remove(child);
+    }
+
+    /// The frame that is fixed to a frame and nearest to the root: the robot, for a sensor.
+    pub fn body<'f>(&'f self, frame: &'f str) -> &'f str {
+        let chain = self.chain(frame);
+        let moving = chain.iter().position(|name| self.moves(name));
+        moving.and_then(|index| chain.get(index)).or(chain.last()).copied().unwrap_or(frame)
+    }
+
+    /// Sets the longest time between two samples that differ, nanoseconds; it is [`GAP_NANOS`] before.
+    pub fn set_gap(&mut self, gap_nanos: i64) {
+        self.gap_nanos = Some(gap_nanos);
+    }
+
     /// Whether a frame moves within its parent.
     pub fn moves(&self, frame: &str) -> bool {
         matches!(self.links.get(frame), Some(Link::Moving(_)))
@@ -220,6 +279,13 @@ impl Frames {
     pub fn connects(&self, frame: &str, within: &str) -> bool {
         let chain = self.chain(frame);
         frame == within || self.chain(within).iter().any(|name| chain.contains(name))
+    }
+
+    /// Whether a frame may move within another one: a link between them is not static.
+    pub fn may_move(&self, frame: &str, within: &str) -> bool {
+        let (from, to) = (self.chain(frame), self.chain(within));
+        let is_shared = |name: &&str| from.contains(name) && to.contains(name);
+        from.iter().chain(&to).any(|name| !is_shared(name) && self.moves(name))
     }
 
     /// Whether there are no transforms.
@@ -289,7 +355,15 @@ impl Frames {
                 let names = || (parent.clone(), child.to_owned());
                 match (after.checked_sub(1).and_then(|before| samples.get(before)), samples.get(after)) {
                     (_, Some(sample)) if sample.time_nanos == time_nanos => Ok(sample.pose),
-                    (Some(before), Some(after)) => Ok(between(before, after, time_nanos)),
+                    (Some(before), Some(after)) => {
+                        let gap_nanos = self.gap_nanos.unwrap_or(GAP_NANOS);
+                        let apart = i128::from(after.time_nanos) - i128::from(before.time_nanos);
+                        if apart > i128::from(gap_nanos) && !is_within(&before.pose, &after.pose, ALIKE_M, ALIKE_RAD) {
+                            let (parent, child) = names();
+                            return Err(FrameError::Gap { parent, child, gap_nanos });
+                        }
+                        Ok(between(before, after, time_nanos))
+                    }
                     (None, _) => {
                         let (parent, child) = names();
                         Err(FrameError::Before { parent, child })
@@ -306,8 +380,13 @@ impl Frames {
 
 /// Whether two poses are equal except for rounding.
 fn is_near(one: &Isometry3<f64>, other: &Isometry3<f64>) -> bool {
+    is_within(one, other, 1e-6, 1e-6)
+}
+
+/// Whether two poses differ by less than a distance, metres, and an angle, radians.
+fn is_within(one: &Isometry3<f64>, other: &Isometry3<f64>, distance_m: f64, angle_rad: f64) -> bool {
     let apart = one.translation.vector - other.translation.vector;
-    apart.norm() < 1e-6 && one.rotation.angle_to(&other.rotation) < 1e-6
+    apart.norm() < distance_m && one.rotation.angle_to(&other.rotation) < angle_rad
 }
 
 /// The pose between two samples.
@@ -337,91 +416,4 @@ fn between_rotations(start: UnitQuaternion<f64>, end: UnitQuaternion<f64>, share
 }
 
 #[cfg(test)]
-mod tests {
-    use std::f64::consts::FRAC_PI_2;
-
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn turned(x: f64, yaw: f64) -> Isometry3<f64> {
-        Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::z() * yaw)
-    }
-
-    fn add(frames: &mut Frames, parent: &str, child: &str, time_nanos: i64, pose: Isometry3<f64>, is_static: bool) {
-        let transform = Transform { parent: parent.to_owned(), child: child.to_owned(), time_nanos, pose };
-        assert_eq!(frames.add(transform, is_static), Ok(()));
-    }
-
-    #[test]
-    fn a_transform_is_interpolated_between_its_samples_and_holds_nowhere_else() -> Result<(), FrameError> {
-        let mut frames = Frames::default();
-        add(&mut frames, "odom", "base", 200, turned(2.0, FRAC_PI_2), false);
-        add(&mut frames, "odom", "base", 100, turned(1.0, 0.0), false);
-        add(&mut frames, "base", "laser", 0, turned(0.5, 0.0), true);
-        frames.finish();
-        let half = frames.pose("base", "odom", 150)?;
-        assert!((half.translation.x - 1.5).abs() < 1e-12 && (half.rotation.angle() - FRAC_PI_2 / 2.0).abs() < 1e-12);
-        let laser = frames.pose("laser", "odom", 200)?;
-        assert!((laser.translation.vector - Vector3::new(2.0, 0.5, 0.0)).norm() < 1e-12, "{laser}");
-        assert!((frames.pose("odom", "laser", 200)? * laser).translation.vector.norm() < 1e-12);
-        let (parent, child) = ("odom".to_owned(), "base".to_owned());
-        let before = FrameError::Before { parent: parent.clone(), child: child.clone() };
-        assert_eq!(frames.pose("laser", "odom", 99), Err(before));
-        assert_eq!(frames.pose("laser", "odom", 201), Err(FrameError::After { parent, child }));
-        assert!(frames.pose("laser", "base", 999).is_ok(), "a static transform holds for all time");
-        Ok(())
-    }
-
-    #[test]
-    fn frames_that_nothing_connects_are_named() {
-        let mut frames = Frames::default();
-        add(&mut frames, "map", "a", 0, turned(0.0, 0.0), true);
-        add(&mut frames, "other", "b", 0, turned(0.0, 0.0), true);
-        let not_connected = FrameError::NotConnected { frame: "a".to_owned(), within: "b".to_owned() };
-        assert_eq!(frames.pose("a", "b", 0), Err(not_connected));
-        assert_eq!(frames.pose("c", "b", 0), Err(FrameError::Unknown("c".to_owned())));
-        assert!(frames.pose("c", "c", 0).is_ok(), "a frame within itself needs no transform");
-    }
-
-    #[test]
-    fn of_two_parents_the_one_with_more_transforms_counts_and_both_are_reported() {
-        let mut frames = Frames::default();
-        for time in 0..9 {
-            add(&mut frames, "odom", "base", time, turned(1.0, 0.0), false);
-            if time % 3 == 0 {
-                add(&mut frames, "map", "base", time, turned(5.0, 0.0), false);
-            }
-        }
-        frames.finish();
-        assert!(frames.pose("base", "odom", 7).is_ok_and(|pose| pose.translation.x == 1.0));
-        assert_eq!(frames.conflicts().collect::<Vec<_>>(), ["base"]);
-        add(&mut frames, "base", "laser", 0, turned(0.0, 0.0), true);
-        add(&mut frames, "base", "laser", 0, turned(0.5, 0.0), true);
-        assert_eq!(frames.conflicts().collect::<Vec<_>>(), ["base", "laser"]);
-        assert!(frames.moves("base") && !frames.moves("laser") && frames.connects("laser", "odom"));
-    }
-
-    #[test]
-    fn frames_in_a_circle_end() {
-        let mut frames = Frames::default();
-        add(&mut frames, "a", "b", 0, turned(1.0, 0.0), true);
-        add(&mut frames, "b", "a", 0, turned(1.0, 0.0), true);
-        assert!(frames.pose("a", "c", 0).is_err());
-        assert!(frames.chain("a").len() <= 2);
-    }
-
-    proptest! {
-        #[test]
-        fn a_pose_and_its_inverse_cancel(x in -9.0..9.0f64, yaw in -3.0..3.0f64, time in 0..100i64) {
-            let mut frames = Frames::default();
-            add(&mut frames, "map", "odom", 0, turned(x, yaw), false);
-            add(&mut frames, "map", "odom", 100, turned(-x, -yaw / 3.0), false);
-            add(&mut frames, "odom", "base", 0, turned(yaw, x / 9.0), true);
-            let there = frames.pose("base", "map", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
-            let back = frames.pose("map", "base", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
-            prop_assert!((there * back).translation.vector.norm() < 1e-9);
-            prop_assert!((there * back).rotation.angle() < 1e-7);
-        }
-    }
-}
+mod tests;

@@ -8,7 +8,7 @@ mod grid;
 use nalgebra::Isometry3;
 
 pub use self::{
-    cloud::Cloud,
+    cloud::{Cloud, PointTimes},
     grid::{Grid, GridUpdate},
 };
 
@@ -83,7 +83,7 @@ impl<'m, 'a> Fields<'m, 'a> {
 /// The time for which a message holds: the time of its header, or another first field that is a time. Nanoseconds since
 /// 1970; `None` if it has none.
 pub fn stamp(message: &Value<'_>) -> Option<i64> {
-    ["header", "door_time", "stamp"].iter().find_map(|name| {
+    ["header", "door_time", "stamp", "timestamp"].iter().find_map(|name| {
         let field = message.field(name)?;
         field.field("stamp").unwrap_or(field).time_nanos()
     })
@@ -92,7 +92,8 @@ pub fn stamp(message: &Value<'_>) -> Option<i64> {
 /// The frame in which a message was measured, without a leading slash; empty if the message names no frame, or a name
 /// that is too long.
 pub fn frame(message: &Value<'_>) -> String {
-    match message.at(&["header", "frame_id"]) {
+    // The types of Foxglove have no header.
+    match message.at(&["header", "frame_id"]).or_else(|| message.field("frame_id")) {
         Some(Value::Text(bytes)) if bytes.len() <= FRAME_BYTES_MAX => {
             frame_name(&String::from_utf8_lossy(bytes)).to_owned()
         }
@@ -100,17 +101,62 @@ pub fn frame(message: &Value<'_>) -> String {
     }
 }
 
-/// A scan of a planar range finder, `sensor_msgs/LaserScan`.
+/// The name of a type of Foxglove, such as `LaserScan`, however a recording writes it.
+pub fn foxglove_type(type_name: &str) -> Option<&str> {
+    type_name.strip_prefix("foxglove.").or_else(|| type_name.strip_prefix("foxglove_msgs/"))
+}
+
+/// Whether the messages of a type are scans.
+pub fn is_scan(type_name: &str) -> bool {
+    type_name == "sensor_msgs/LaserScan" || foxglove_type(type_name) == Some("LaserScan")
+}
+
+/// Whether the messages of a type are point clouds.
+pub fn is_cloud(type_name: &str) -> bool {
+    type_name == "sensor_msgs/PointCloud2" || foxglove_type(type_name) == Some("PointCloud")
+}
+
+/// The pose of a sensor within the frame of its message; types of Foxglove have one.
+fn own_pose(fields: &Fields<'_, '_>) -> Result<Isometry3<f64>, KnownError> {
+    match fields.message.field("pose") {
+        None => Ok(Isometry3::identity()),
+        Some(pose) => foxglove_pose(fields, pose, ["position", "orientation"]),
+    }
+}
+
+/// A pose of Foxglove. Protobuf leaves out numbers that are 0, and with them a rotation that nobody has set.
+fn foxglove_pose(
+    fields: &Fields<'_, '_>,
+    message: &Value<'_>,
+    [position, orientation]: [&str; 2],
+) -> Result<Isometry3<f64>, KnownError> {
+    let part = |name: &str, axis: &str| message.at(&[name, axis]).and_then(Value::number).filter(|part| !part.is_nan());
+    let xyz = ["x", "y", "z"].map(|axis| part(position, axis).unwrap_or(0.0));
+    let mut quaternion = ["x", "y", "z", "w"].map(|axis| part(orientation, axis).unwrap_or(0.0));
+    if quaternion == [0.0; 4] {
+        quaternion = [0.0, 0.0, 0.0, 1.0];
+    }
+    frames::pose(xyz, quaternion).ok_or_else(|| {
+        let type_name = fields.type_name;
+        KnownError::Values(format!("{type_name} has no pose: position {xyz:?}, quaternion {quaternion:?}"))
+    })
+}
+
+/// A scan of a planar range finder, `sensor_msgs/LaserScan`, or that of Foxglove.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LaserScan<'a> {
     /// Angle of the first ray from the x axis of the sensor, radians.
     pub angle_min_rad: f64,
     /// Angle between rays, radians.
     pub angle_increment_rad: f64,
+    /// Time between rays, seconds; 0 if the driver gives none. The first ray has the time of the header.
+    pub time_increment_secs: f64,
     /// Smallest valid range, metres.
     pub range_min_m: f64,
     /// Largest valid range, metres.
     pub range_max_m: f64,
+    /// Pose of the sensor within the frame of the message.
+    pub pose: Isometry3<f64>,
     ranges: Numbers<'a>,
 }
 
@@ -120,10 +166,15 @@ impl<'a> LaserScan<'a> {
     /// # Errors
     /// A field is missing, or an angle or a limit is not finite.
     pub fn read(message: &Value<'a>) -> Result<Self, KnownError> {
+        if message.field("start_angle").is_some() {
+            return Self::read_foxglove(message);
+        }
         let fields = Fields { type_name: "sensor_msgs/LaserScan", message };
         let scan = Self {
+            pose: Isometry3::identity(),
             angle_min_rad: fields.number(&["angle_min"])?,
             angle_increment_rad: fields.number(&["angle_increment"])?,
+            time_increment_secs: fields.number(&["time_increment"]).unwrap_or(0.0),
             range_min_m: fields.number(&["range_min"])?,
             range_max_m: fields.number(&["range_max"])?,
             ranges: fields.numbers(&["ranges"])?,
@@ -141,6 +192,25 @@ impl<'a> LaserScan<'a> {
         Ok(scan)
     }
 
+    /// Reads a scan of Foxglove, which states the angles of its first and last ray and no limits of its ranges.
+    fn read_foxglove(message: &Value<'a>) -> Result<Self, KnownError> {
+        let fields = Fields { type_name: "foxglove.LaserScan", message };
+        let ranges = fields.numbers(&["ranges"])?;
+        let (first, last) = (fields.number(&["start_angle"])?, fields.number(&["end_angle"])?);
+        if !first.is_finite() || !last.is_finite() {
+            return Err(KnownError::Values(format!("a scan from {first} rad to {last} rad")));
+        }
+        Ok(Self {
+            angle_min_rad: first,
+            angle_increment_rad: (last - first) / ranges.len().saturating_sub(1).max(1) as f64,
+            time_increment_secs: 0.0,
+            range_min_m: 0.0,
+            range_max_m: f64::INFINITY,
+            pose: own_pose(&fields)?,
+            ranges,
+        })
+    }
+
     /// The ranges as they are, metres.
     pub fn ranges_m(&self) -> impl Iterator<Item = f64> + 'a {
         self.ranges.floats()
@@ -151,10 +221,28 @@ impl<'a> LaserScan<'a> {
         self.ranges.len()
     }
 
-    /// Whether a range is a valid reading, by the limits of the sensor.
-    pub fn is_valid(&self, range_m: f64) -> bool {
-        range_m.is_finite() && range_m >= self.range_min_m && range_m <= self.range_max_m
+    /// What a beam with this range has measured. Drivers mark a beam without a return by infinity, by the largest valid
+    /// range or more, by NaN, by 0 or less, or by a range below the smallest valid one.
+    pub fn beam(&self, range_m: f64) -> Beam {
+        if range_m.is_nan() || range_m <= 0.0 || range_m < self.range_min_m {
+            Beam::NoReading
+        } else if range_m >= self.range_max_m || range_m == f64::INFINITY {
+            Beam::NoReturn
+        } else {
+            Beam::Hit
+        }
     }
+}
+
+/// What a beam of a range finder has measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beam {
+    /// Something at its range.
+    Hit,
+    /// Nothing came back from within the sensor's range.
+    NoReturn,
+    /// Nothing that means anything: the sensor gives no range, or one too near.
+    NoReading,
 }
 
 /// A transform that a message holds, or why it is not used.
@@ -165,9 +253,36 @@ pub type TransformRead = Result<Transform, KnownError>;
 /// # Errors
 /// There is no list of transforms.
 pub fn transforms(message: &Value<'_>) -> Result<Vec<TransformRead>, KnownError> {
+    if message.field("parent_frame_id").is_some() {
+        return Ok(vec![foxglove_transform(message)]);
+    }
     let fields = Fields { type_name: "tf2_msgs/TFMessage", message };
     let list = fields.value(&["transforms"])?.list().ok_or_else(|| fields.missing(&["transforms"]))?;
-    Ok(list.iter().map(transform).collect())
+    let read = |message| {
+        if Value::field(message, "parent_frame_id").is_some() {
+            foxglove_transform(message)
+        } else {
+            transform(message)
+        }
+    };
+    Ok(list.iter().map(read).collect())
+}
+
+fn foxglove_transform(message: &Value<'_>) -> TransformRead {
+    let fields = Fields { type_name: "foxglove.FrameTransform", message };
+    let time_nanos = stamp(message).ok_or_else(|| fields.missing(&["timestamp"]))?;
+    let name = |field: &str| fields.text(&[field]).map(|name| frame_name(&name).to_owned());
+    let (parent, child) = (name("parent_frame_id")?, name("child_frame_id")?);
+    checked_names(&parent, &child)?;
+    let pose = foxglove_pose(&fields, message, ["translation", "rotation"])?;
+    Ok(Transform { parent, child, time_nanos, pose })
+}
+
+fn checked_names(parent: &str, child: &str) -> Result<(), KnownError> {
+    if child.is_empty() || parent.is_empty() || child == parent || child.len().max(parent.len()) > FRAME_BYTES_MAX {
+        return Err(KnownError::Values("a transform without the names of two frames".to_owned()));
+    }
+    Ok(())
 }
 
 fn transform(message: &Value<'_>) -> TransformRead {
@@ -175,18 +290,48 @@ fn transform(message: &Value<'_>) -> TransformRead {
     let time_nanos = stamp(message).ok_or_else(|| fields.missing(&["header", "stamp"]))?;
     let child = frame_name(&fields.text(&["child_frame_id"])?).to_owned();
     let parent = frame(message);
-    if child.is_empty() || parent.is_empty() || child == parent || child.len() > FRAME_BYTES_MAX {
-        return Err(KnownError::Values("a transform without the names of two frames".to_owned()));
-    }
+    checked_names(&parent, &child)?;
     let pose = fields.pose(&["transform"], "translation", "rotation")?;
     Ok(Transform { parent, child, time_nanos, pose })
+}
+
+/// Types whose messages are poses of a robot at a time within a frame.
+pub const POSE_TYPES: [&str; 5] = [
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "foxglove.PoseInFrame",
+    "foxglove_msgs/PoseInFrame",
+];
+
+/// The transform that a pose of a robot is, if it is of one of [`POSE_TYPES`]. Its child is empty if the message names
+/// none, its time 0 if the message has none.
+///
+/// # Errors
+/// The message names no frame, or the pose is not finite.
+pub fn pose_transform(message: &Value<'_>, type_name: &'static str) -> TransformRead {
+    let fields = Fields { type_name, message };
+    let parent = frame(message);
+    if parent.is_empty() {
+        return Err(KnownError::Values("the pose names no frame in its header".to_owned()));
+    }
+    let child = message.field("child_frame_id").and_then(Value::text).unwrap_or_default();
+    let child = frame_name(&child).to_owned();
+    if child == parent || child.len() > FRAME_BYTES_MAX {
+        return Err(KnownError::Values(format!("the pose of {parent:?} is given in {parent:?} itself")));
+    }
+    let pose = match foxglove_type(type_name) {
+        Some(_) => own_pose(&fields)?,
+        None => fields.pose(pose_path(type_name).unwrap_or_default(), "position", "orientation")?,
+    };
+    Ok(Transform { parent, child, time_nanos: stamp(message).unwrap_or(0), pose })
 }
 
 /// The path to the pose in a message of one of the usual types with one pose.
 pub fn pose_path(type_name: &str) -> Option<&'static [&'static str]> {
     Some(match type_name {
         "geometry_msgs/Pose" => &[],
-        "geometry_msgs/PoseStamped" => &["pose"],
+        "geometry_msgs/PoseStamped" | "foxglove.PoseInFrame" | "foxglove_msgs/PoseInFrame" => &["pose"],
         "geometry_msgs/PoseWithCovariance" => &["pose"],
         "geometry_msgs/PoseWithCovarianceStamped" | "nav_msgs/Odometry" => &["pose", "pose"],
         _ => return None,

@@ -11,6 +11,7 @@ mod chunk;
 pub mod convert;
 pub mod definition;
 pub mod folder;
+mod foreign;
 pub mod frames;
 pub mod kind;
 pub mod known;

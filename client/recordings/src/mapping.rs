@@ -9,8 +9,13 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use crate::survey::PoseSource;
+
 pub(crate) use self::rule::shown;
 pub use self::rule::{FieldPlace, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule};
+
+/// A hundred years are longer than any recording.
+const GAP_SECS_MAX: f64 = 3.2e9;
 
 /// The observations to make of a recording's topics, in addition to or instead of the default ones.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,6 +30,10 @@ pub struct Mapping {
     pub positions: Vec<PositionRule>,
     /// Traversals of edges.
     pub traversals: Vec<TraversalRule>,
+    /// The longest time between two transforms that differ, nanoseconds.
+    pub transform_gap_nanos: Option<i64>,
+    /// The topic whose poses are taken in place of transforms.
+    pub pose_from: Option<PoseSource>,
 }
 
 /// Why a mapping cannot be used.
@@ -51,6 +60,9 @@ struct MappingText {
     states: BTreeMap<String, rule::StateText>,
     positions: BTreeMap<String, rule::PositionText>,
     traversals: BTreeMap<String, rule::TraversalText>,
+    /// Seconds.
+    transform_gap: Option<f64>,
+    pose_from: Option<String>,
 }
 
 impl Mapping {
@@ -68,7 +80,16 @@ impl Mapping {
             read.positions.into_iter().map(|(key, text)| PositionRule::read(&key, text).map_err(entry(&key)));
         let traversals =
             read.traversals.into_iter().map(|(key, text)| TraversalRule::read(&key, text).map_err(entry(&key)));
+        let transform_gap_nanos = match read.transform_gap {
+            None => None,
+            Some(secs) if (0.0..=GAP_SECS_MAX).contains(&secs) => Some((secs * 1e9) as i64),
+            Some(secs) => {
+                return Err(entry("transform_gap")(format!("{secs} is no time: use seconds, 0 to {GAP_SECS_MAX}")));
+            }
+        };
         Ok(Self {
+            transform_gap_nanos,
+            pose_from: read.pose_from.as_deref().map(PoseSource::read),
             skip: read.skip,
             grid: read.grid,
             states: states.collect::<Result<_, _>>()?,

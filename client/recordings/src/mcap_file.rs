@@ -8,10 +8,12 @@ use std::{
     collections::{HashMap, hash_map::Entry},
     io::{self, Read},
     mem,
+    sync::Arc,
 };
 
 use crate::{
     chunk::{cdr_bytes, shortened, unpack},
+    layout,
     recording::{
         BLOCK_BYTES_MAX, DEFINITION_BYTES_MAX, Encoding, Ending, MESSAGE_BYTES_MAX, RecordedMessage, RecordingError,
         Sink, Topic,
@@ -201,7 +203,53 @@ struct Messages {
 
 struct Schema {
     name: String,
-    definition: String,
+    encoding: String,
+    /// Empty if the language is not read.
+    data: Arc<[u8]>,
+}
+
+impl Schema {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.data).into_owned()
+    }
+
+    /// The definition in the language of `.msg` files; empty if the schema is in another one.
+    fn definition(&self) -> String {
+        if matches!(self.encoding.as_str(), "ros1msg" | "ros2msg") { self.text() } else { String::new() }
+    }
+}
+
+/// The layout of the messages of a channel.
+fn encoding_of(encoding: String, schema: Option<&Schema>) -> Encoding {
+    let language = schema.map_or("", |schema| schema.encoding.as_str());
+    let of_language = |wanted: &str| {
+        let encoding = &encoding;
+        let text = match language {
+            "" => format!("its schema names no language; messages in {encoding} need one in {wanted}"),
+            language => format!("its schema is in {language:?}; messages in {encoding} need one in {wanted}"),
+        };
+        Encoding::Unreadable(text)
+    };
+    match (encoding.as_str(), schema) {
+        ("cdr" | "ros1" | "json" | "protobuf", None) => {
+            Encoding::Unreadable("its channel has no schema, so the fields of its messages are not known".to_owned())
+        }
+        ("json", Some(schema)) if language == "jsonschema" => Encoding::Json(schema.text().into()),
+        ("json", Some(_)) => of_language("jsonschema"),
+        ("protobuf", Some(schema)) if language == "protobuf" => Encoding::Protobuf(schema.data.clone()),
+        ("protobuf", Some(_)) => of_language("protobuf"),
+        ("cdr" | "ros1", Some(schema)) => {
+            let encoding_read = if encoding == "cdr" { Encoding::Cdr } else { Encoding::Ros1 };
+            // The types that everybody uses are known without a schema.
+            let is_usual = || layout::of_type(&schema.name, "", &encoding_read).is_ok();
+            if matches!(language, "ros1msg" | "ros2msg") || is_usual() {
+                encoding_read
+            } else {
+                of_language(if encoding == "cdr" { "ros2msg" } else { "ros1msg" })
+            }
+        }
+        _ => Encoding::Other(encoding),
+    }
 }
 
 struct Channel {
@@ -233,11 +281,11 @@ impl Messages {
         let mut parse = || Some((fields.u16()?, fields.text()?, fields.text()?, fields.counted()?));
         let Some((id, name, encoding, data)) = parse() else { return Ok(None) };
         if let Entry::Vacant(place) = self.schemas.entry(id) {
-            let is_read = matches!(encoding.as_str(), "ros1msg" | "ros2msg");
-            let definition = if is_read { String::from_utf8_lossy(data).into_owned() } else { String::new() };
-            self.schema_bytes = self.schema_bytes.saturating_add(name.len() + definition.len());
+            let is_read = matches!(encoding.as_str(), "ros1msg" | "ros2msg" | "jsonschema" | "protobuf");
+            let data: Arc<[u8]> = if is_read { data.into() } else { Arc::default() };
+            self.schema_bytes = self.schema_bytes.saturating_add(name.len() + data.len());
             check_definitions(self.schema_bytes)?;
-            place.insert(Schema { name, definition });
+            place.insert(Schema { name, encoding, data });
         }
         Ok(Some(()))
     }
@@ -266,18 +314,14 @@ impl Messages {
                          described before it"
                     )));
                 }
+                let is_cdr = encoding == "cdr";
                 let topic = Topic {
                     name: name.clone(),
                     type_name: about.map(|schema| bare_type(&schema.name)).unwrap_or_default(),
-                    encoding: match encoding.as_str() {
-                        "cdr" => Encoding::Cdr,
-                        "ros1" => Encoding::Ros1,
-                        _ => Encoding::Other(encoding),
-                    },
-                    definition: about.map(|schema| schema.definition.clone()).unwrap_or_default(),
+                    encoding: encoding_of(encoding, about),
+                    definition: about.map(Schema::definition).unwrap_or_default(),
                     is_latched,
                 };
-                let is_cdr = topic.encoding == Encoding::Cdr;
                 let topic = self.topics.add(&topic, sink)?;
                 place.insert(Channel { topic, name, schema, is_cdr });
                 Ok(Some(()))

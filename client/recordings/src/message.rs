@@ -10,7 +10,8 @@ use std::sync::Arc;
 
 pub use self::path::{Path, PathError};
 
-use self::cursor::MessageCursor;
+pub(crate) use self::cursor::number;
+use self::cursor::{MessageCursor, WideForm};
 use crate::{
     definition::{Count, Primitive},
     layout::{Kind, LaidField, Structure},
@@ -37,6 +38,9 @@ pub enum MessageError {
     /// The first bytes name an encoding that is not read.
     #[error("the message begins with {0:02x?}, which is no plain CDR")]
     Representation([u8; 2]),
+    /// Wide text is in a form that is not known.
+    #[error("its wide text (wstring) is in a form that is not known")]
+    Wide,
     /// The encoding is none that is read.
     #[error("the encoding {0:?} is not read")]
     Encoding(String),
@@ -53,6 +57,8 @@ pub enum Value<'a> {
     Float(f64),
     /// Text, as its bytes: they need not be UTF-8.
     Text(&'a [u8]),
+    /// Text of wide letters: the numbers of UTF-16, or of its letters.
+    WideText(Numbers<'a>),
     /// A time or a duration of ROS 1, nanoseconds.
     Nanos(i64),
     /// An array of numbers.
@@ -127,6 +133,18 @@ impl<'a> Value<'a> {
     pub fn text(&self) -> Option<String> {
         match self {
             Value::Text(bytes) => Some(String::from_utf8_lossy(bytes).into_owned()),
+            Value::WideText(numbers) => {
+                // Letters above 65,535 are single numbers where each has four bytes, and pairs where it has two.
+                let units = numbers.floats().flat_map(|number| {
+                    let letter = char::from_u32(number as u32).filter(|letter| u32::from(*letter) > 0xFFFF);
+                    let mut pair = [0; 2];
+                    match letter {
+                        Some(letter) => letter.encode_utf16(&mut pair).to_vec(),
+                        None => vec![number as u16],
+                    }
+                });
+                Some(char::decode_utf16(units).map(|letter| letter.unwrap_or('\u{FFFD}')).collect())
+            }
             _ => None,
         }
     }
@@ -179,12 +197,46 @@ impl<'a> Value<'a> {
 /// # Errors
 /// The bytes end early, hold too many values, or are of an encoding that is not read.
 pub fn read<'a>(layout: &Arc<Structure>, encoding: &Encoding, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
+    if *encoding == Encoding::Cdr && has_wide_text(layout) {
+        return read_wide(layout, bytes);
+    }
     let mut cursor = match encoding {
         Encoding::Ros1 => MessageCursor::ros1(bytes),
         Encoding::Cdr => MessageCursor::cdr(bytes)?,
-        Encoding::Other(name) => return Err(MessageError::Encoding(name.clone())),
+        // These are brought into the layout of ROS 1 before.
+        Encoding::Json(_) => return Err(MessageError::Encoding("json".to_owned())),
+        Encoding::Protobuf(_) => return Err(MessageError::Encoding("protobuf".to_owned())),
+        Encoding::Other(name) | Encoding::Unreadable(name) => return Err(MessageError::Encoding(name.clone())),
     };
     structure(layout, &mut cursor)
+}
+
+/// Whether a type has fields of wide text.
+fn has_wide_text(layout: &Structure) -> bool {
+    layout.fields.iter().any(|field| match &field.kind {
+        Kind::Primitive(primitive) => *primitive == Primitive::WideText,
+        Kind::Structure(inner) => has_wide_text(inner),
+    })
+}
+
+/// Reads a message with wide text, whose bytes no standard fixes: ROS 2 writes the number of letters and each letter in
+/// four bytes; others write two bytes a letter, and the number of letters or of bytes. The form is the one by which the
+/// fields end where the message ends.
+fn read_wide<'a>(layout: &Arc<Structure>, bytes: &'a [u8]) -> Result<Value<'a>, MessageError> {
+    let mut first = None;
+    for form in [WideForm::FourBytes, WideForm::TwoBytes, WideForm::TwoBytesCounted] {
+        let mut cursor = MessageCursor::cdr(bytes)?.with_wide(form);
+        match structure(layout, &mut cursor) {
+            Ok(value) if cursor.is_at_end() => return Ok(value),
+            Ok(_) => {
+                first.get_or_insert(MessageError::Wide);
+            }
+            Err(error) => {
+                first.get_or_insert(error);
+            }
+        }
+    }
+    Err(first.unwrap_or(MessageError::Wide))
 }
 
 fn structure<'a>(layout: &Arc<Structure>, cursor: &mut MessageCursor<'a>) -> Result<Value<'a>, MessageError> {
@@ -206,7 +258,9 @@ fn field<'a>(laid: &LaidField, cursor: &mut MessageCursor<'a>) -> Result<Value<'
         Count::Any => cursor.length(&laid.name)?,
     };
     match &laid.kind {
-        Kind::Primitive(primitive) if !matches!(primitive, Primitive::Text | Primitive::Time | Primitive::Duration) => {
+        Kind::Primitive(primitive)
+            if primitive.bytes().is_some() && !matches!(primitive, Primitive::Time | Primitive::Duration) =>
+        {
             cursor.numbers(*primitive, count, &laid.name).map(Value::Numbers)
         }
         _ => {

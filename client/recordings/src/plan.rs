@@ -4,16 +4,18 @@
 //! topics and fields are not in the recording is an error before anything is made.
 
 mod frame;
+mod poses;
 
 use crate::{
     definition::Count,
-    known::pose_path,
+    frames::GAP_NANOS,
+    known::{self, pose_path},
     layout::Kind,
     mapping::{Mapping, PositionRule, Reports, StateRule, Template, TraversalRule, ValueKind, ValueRule},
-    survey::{Surveyed, TopicSurvey, is_transforms},
+    survey::{PoseSource, Surveyed, TopicSurvey, is_transforms},
 };
 
-pub use self::frame::FrameChoice;
+pub use self::{frame::FrameChoice, poses::pose_topics};
 
 /// The use of a topic for the grid of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +35,8 @@ pub enum GridUse {
 pub struct TopicPlan {
     /// Frames.
     pub is_transforms: bool,
+    /// Poses that are taken in place of transforms.
+    pub gives_poses: bool,
     /// Observations of the grid.
     pub grid: Option<GridUse>,
     /// Observations of states.
@@ -66,7 +70,7 @@ impl TopicPlan {
         if self.traversals.is_some() {
             words.push("traversals".to_owned());
         }
-        if self.is_transforms {
+        if self.is_transforms || self.gives_poses {
             words.push("frames".to_owned());
         }
         if words.is_empty() { "nothing".to_owned() } else { words.join(", ") }
@@ -133,6 +137,14 @@ pub enum PlanError {
         /// The fault.
         problem: String,
     },
+    /// The topic whose poses are to be taken does not have any.
+    #[error("{problem}; {candidates}")]
+    NoPoses {
+        /// The fault.
+        problem: String,
+        /// The topics that would do, in words.
+        candidates: String,
+    },
     /// The requested frame is in no transform and no message.
     #[error("the recording has no frame {frame:?}; it has {frames}")]
     NoFrame {
@@ -152,6 +164,22 @@ pub struct Wishes {
     pub topics: Vec<String>,
     /// The frame in which everything is placed.
     pub frame: Option<String>,
+    /// The longest time between two transforms that differ, nanoseconds; that of the mapping if absent.
+    pub transform_gap_nanos: Option<i64>,
+    /// The topic whose poses are taken in place of transforms; that of the mapping if absent.
+    pub pose_from: Option<PoseSource>,
+}
+
+impl Wishes {
+    /// The topic whose poses are taken in place of transforms.
+    pub fn pose_source(&self) -> Option<&PoseSource> {
+        self.pose_from.as_ref().or(self.mapping.pose_from.as_ref())
+    }
+
+    /// The longest time between two transforms that differ, nanoseconds.
+    pub fn gap_nanos(&self) -> i64 {
+        self.transform_gap_nanos.or(self.mapping.transform_gap_nanos).unwrap_or(GAP_NANOS)
+    }
 }
 
 /// Makes a plan.
@@ -167,6 +195,12 @@ pub fn plan(surveyed: &Surveyed, wishes: &Wishes) -> Result<Plan, PlanError> {
         }
     }
     let mut plans = topics.iter().map(|topic| topic_plan(topic, wishes)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(source) = wishes.pose_source() {
+        let index = poses::topic(surveyed, source)?;
+        if let Some(plan) = plans.get_mut(index) {
+            plan.gives_poses = true;
+        }
+    }
     prefer_scans(surveyed, &mut plans, wishes);
     find_changed_grids(topics, &mut plans);
     let (frame, choice) = frame::choose(surveyed, &plans, wishes.frame.as_deref())?;
@@ -246,8 +280,8 @@ fn mapped(topic: &TopicSurvey, mapping: &Mapping) -> Result<TopicPlan, PlanError
 
 fn usual_grid(topic: &TopicSurvey) -> TopicPlan {
     let grid = match topic.type_name.as_str() {
-        "sensor_msgs/LaserScan" => Some(GridUse::Scans),
-        "sensor_msgs/PointCloud2" => Some(GridUse::Clouds),
+        name if known::is_scan(name) => Some(GridUse::Scans),
+        name if known::is_cloud(name) => Some(GridUse::Clouds),
         "nav_msgs/OccupancyGrid" => Some(GridUse::Grids),
         "map_msgs/OccupancyGridUpdate" => Some(GridUse::GridChanges(usize::MAX)),
         _ => None,

@@ -3,7 +3,7 @@
 //! Invariant: a reader hands out messages one by one, in the order of the file. It holds at most one block of the file
 //! and one message in memory, each within the limits of this file, whatever a length in the file states.
 
-use std::io;
+use std::{io, sync::Arc};
 
 /// Maximum number of bytes of a message.
 pub const MESSAGE_BYTES_MAX: usize = 32 << 20;
@@ -23,8 +23,14 @@ pub enum Encoding {
     Ros1,
     /// CDR, as ROS 2 lays them out.
     Cdr,
+    /// JSON, with its schema in the language of JSON Schema.
+    Json(Arc<str>),
+    /// Protobuf, with its schema: a set of file descriptors.
+    Protobuf(Arc<[u8]>),
     /// Another layout, by the name that the recording gives it. Its messages are counted, not read.
     Other(String),
+    /// A layout that the recording does not describe; the text states why. Its messages are counted, not read.
+    Unreadable(String),
 }
 
 /// A topic of a recording, or one of its connections if a recording lists several publishers apart.

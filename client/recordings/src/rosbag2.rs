@@ -48,7 +48,7 @@ fn read_rows<R: Read + Seek>(
     let (Some(topics), Some(messages)) = (database.table("topics"), database.table("messages")) else {
         return Err(RecordingError::Unknown(if database.has_log() {
             "the database has no tables \"topics\" and \"messages\" yet: they may stand in the file beside it whose name \
-             ends in -wal. Join them with `sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+             ends in -wal. Close the recorder, or run `sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)'`"
                 .to_owned()
         } else {
             "the database is none of rosbag2: it has no tables \"topics\" and \"messages\"".to_owned()

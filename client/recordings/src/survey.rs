@@ -3,6 +3,8 @@
 //! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the
 //! first reason; none ends the survey.
 
+mod poses;
+
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
     sync::Arc,
@@ -10,15 +12,21 @@ use std::{
 
 use crate::{
     definition::Constant,
+    foreign::Translator,
     frames::{Frames, TransformError, frame_name},
     known::{self, Grid},
     layout::{self, Structure},
     message::{self, Value},
-    recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
+    recording::{Encoding, RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
+
+use self::poses::Poses;
+pub use self::poses::{PoseSource, TakenPoses};
 
 /// Types whose messages are transforms.
 const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
+/// Types of Foxglove whose messages are transforms.
+const FOXGLOVE_TRANSFORMS: [&str; 2] = ["FrameTransform", "FrameTransforms"];
 
 /// First and last of some times, nanoseconds since 1970.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,13 +87,19 @@ pub(crate) struct TopicReader {
     /// Index of the topic among the topics of the survey.
     pub(crate) topic: usize,
     pub(crate) layout: Result<Arc<Structure>, String>,
-    pub(crate) encoding: crate::recording::Encoding,
+    pub(crate) encoding: Encoding,
+    translator: Option<Translator>,
 }
 
 impl TopicReader {
-    pub(crate) fn read<'a>(&self, data: &'a [u8]) -> Result<Value<'a>, String> {
+    /// Reads a message; `buffer` takes its bytes if they have to be brought into another layout.
+    pub(crate) fn read<'a>(&self, data: &'a [u8], buffer: &'a mut Vec<u8>) -> Result<Value<'a>, String> {
         let layout = self.layout.as_ref().map_err(String::clone)?;
-        message::read(layout, &self.encoding, data).map_err(|error| error.to_string())
+        let Some(translator) = &self.translator else {
+            return message::read(layout, &self.encoding, data).map_err(|error| error.to_string());
+        };
+        translator.translate(data, buffer)?;
+        message::read(layout, &Encoding::Ros1, buffer).map_err(|error| error.to_string())
     }
 }
 
@@ -103,9 +117,18 @@ impl TopicTable {
 }
 
 pub(crate) fn connection(topic: &Topic, index: usize) -> TopicReader {
-    let layout =
-        layout::of_type(&topic.type_name, &topic.definition, &topic.encoding).map_err(|error| error.to_string());
-    TopicReader { topic: index, layout, encoding: topic.encoding.clone() }
+    let Topic { type_name, encoding, definition, .. } = topic;
+    let (layout, translator) = match (Translator::of_topic(type_name, encoding), encoding) {
+        (Some(Ok(translator)), _) => (Ok(translator.layout()), Some(translator)),
+        (Some(Err(why)), _) => (Err(why), None),
+        (None, Encoding::Unreadable(why)) => (Err(why.clone()), None),
+        (None, Encoding::Other(name)) => {
+            let why = format!("its messages are in the encoding {name:?}; CDR, ROS 1, JSON and protobuf are read");
+            (Err(why), None)
+        }
+        (None, _) => (layout::of_type(type_name, definition, encoding).map_err(|error| error.to_string()), None),
+    };
+    TopicReader { topic: index, layout, encoding: encoding.clone(), translator }
 }
 
 /// Surveys a recording: give it to a reader as the sink, for each file of the recording after [`Survey::next_file`].
@@ -125,6 +148,7 @@ pub struct Survey {
     watch: Option<ReadWatch>,
     /// Topics whose transforms are left out.
     skipped: Vec<String>,
+    poses: Option<Poses>,
     passed_over: u64,
     first_passed_over: Option<String>,
 }
@@ -142,6 +166,11 @@ impl Survey {
     /// Leaves out the transforms of some topics.
     pub fn without_transforms_of(topics: &[String]) -> Self {
         Self { skipped: topics.to_vec(), ..Self::default() }
+    }
+
+    /// Takes the poses of a topic in place of the transforms of the frame that has them.
+    pub fn take_poses(&mut self, source: PoseSource) {
+        self.poses = Some(Poses::new(source));
     }
 
     /// Watches how many bytes of the current file have been read.
@@ -172,8 +201,14 @@ impl Survey {
             parents: std::mem::take(&mut self.parents),
             watch: self.watch.take(),
             skipped: std::mem::take(&mut self.skipped),
+            poses: self.poses.take().map(|poses| Poses::new(poses.source)),
             ..Self::default()
         };
+    }
+
+    /// Number of messages so far.
+    pub fn messages(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.messages).sum()
     }
 
     /// Whether the recording has more transforms than can be kept, so that some are missing.
@@ -183,17 +218,29 @@ impl Survey {
 
     /// Returns the contents: call it once after the last file.
     pub fn finish(mut self) -> Surveyed {
+        let is_sensor = |topic: &&TopicSurvey| known::is_scan(&topic.type_name) || known::is_cloud(&topic.type_name);
+        let sensor = self.topics.iter().filter(is_sensor).map(|topic| topic.frame.as_str());
+        let sensor = sensor.clone().find(|frame| !frame.is_empty()).unwrap_or_default();
+        self.too_many |= self.poses.as_ref().is_some_and(|poses| poses.has_too_many);
+        let poses = self.poses.take().map(|poses| poses.put_into(&mut self.frames, sensor));
         self.frames.finish();
         Surveyed {
             topics: self.topics,
             frames: self.frames,
+            poses,
             bad_transforms: self.bad_transforms,
             has_too_many_transforms: self.too_many,
             passed_over: self.first_passed_over.map(|first| (self.passed_over, first)),
         }
     }
 
-    fn transforms(&mut self, message: &Value<'_>, recorded_nanos: i64, is_static: bool) -> Result<(), String> {
+    fn transforms(
+        &mut self,
+        message: &Value<'_>,
+        recorded_nanos: i64,
+        is_static: bool,
+        lasts: bool,
+    ) -> Result<(), String> {
         for transform in known::transforms(message).map_err(|error| error.to_string())? {
             let Ok(mut transform) = transform else {
                 self.bad_transforms += 1;
@@ -207,6 +254,9 @@ impl Survey {
             }
             if self.kept.as_ref().is_some_and(|kept| !is_static && !kept.contains(&transform.child)) {
                 continue;
+            }
+            if lasts {
+                self.frames.last(&transform.child);
             }
             if self.frames.add(transform, is_static) == Err(TransformError::TooMany) {
                 self.too_many = true;
@@ -223,6 +273,8 @@ pub struct Surveyed {
     pub topics: Vec<TopicSurvey>,
     /// The tree of its frames.
     pub frames: Frames,
+    /// The poses that were taken in place of transforms.
+    pub poses: Option<TakenPoses>,
     /// Number of transforms that are none: not finite, or without names.
     pub bad_transforms: u64,
     /// Whether the recording has more transforms than can be kept, so that some are missing.
@@ -233,7 +285,11 @@ pub struct Surveyed {
 
 /// Whether the messages of a type are transforms.
 pub fn is_transforms(type_name: &str) -> bool {
-    TRANSFORM_TYPES.contains(&type_name)
+    TRANSFORM_TYPES.contains(&type_name) || is_foxglove_transforms(type_name)
+}
+
+fn is_foxglove_transforms(type_name: &str) -> bool {
+    known::foxglove_type(type_name).is_some_and(|name| FOXGLOVE_TRANSFORMS.contains(&name))
 }
 
 impl Sink for Survey {
@@ -272,7 +328,8 @@ impl Sink for Survey {
         }
         let Some(connection) = self.connections.get(message.topic) else { return Ok(()) };
         let index = connection.topic;
-        let read = connection.read(message.data);
+        let mut buffer = Vec::new();
+        let read = connection.read(message.data, &mut buffer);
         let Some(topic) = self.topics.get_mut(index) else { return Ok(()) };
         topic.messages += 1;
         TimeSpan::extend(&mut topic.recorded, message.recorded_nanos);
@@ -291,9 +348,13 @@ impl Sink for Survey {
                 if topic.frame.is_empty() {
                     topic.frame = known::frame(&value);
                 }
+                if let Some(poses) = self.poses.as_mut().filter(|poses| poses.source.topic == topic.name) {
+                    poses.add(&topic.type_name, &value, message.recorded_nanos);
+                }
                 if is_transforms(&topic.type_name) && !self.skipped.contains(&topic.name) {
                     let is_static = frame_name(&topic.name).ends_with("tf_static");
-                    self.transforms(&value, message.recorded_nanos, is_static).err()
+                    let lasts = is_foxglove_transforms(&topic.type_name);
+                    self.transforms(&value, message.recorded_nanos, is_static, lasts).err()
                 } else {
                     None
                 }

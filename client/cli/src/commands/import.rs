@@ -21,7 +21,7 @@ use tidemap_recordings::{
     convert::Clock,
     mapping::Mapping,
     plan::{Plan, Wishes, plan},
-    survey::Surveyed,
+    survey::{PoseSource, Surveyed},
 };
 
 use self::{counts::TopicCounts, files::Recording, prepare::Prepared, transfer::ImportTransfer};
@@ -86,6 +86,17 @@ pub(crate) struct ImportArgs {
     /// Casts a ray to each point of a cloud; by default one to each cell in which points lie
     #[arg(long)]
     every_point: bool,
+    /// Places all beams of a scan or cloud where the sensor was at the stamp; by default each is placed where it was at
+    /// the beam's own time, if the message gives times
+    #[arg(long)]
+    at_stamp: bool,
+    /// Takes the poses of a topic in place of transforms, such as /odom: nav_msgs/Odometry, geometry_msgs/PoseStamped or
+    /// PoseWithCovarianceStamped [default frame: that of the messages, else the body of the first sensor]
+    #[arg(long, value_name = "TOPIC[=FRAME]")]
+    pose_from: Option<String>,
+    /// Between two transforms that differ and are further apart than this, nothing has a place [default: 2s]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
+    transform_gap: Option<i64>,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensors, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
@@ -131,7 +142,14 @@ pub(crate) async fn run(session: &Session, args: ImportArgs) -> anyhow::Result<E
     }
     if !planned.plan.topics.iter().any(|plan| plan.is_observed()) {
         list::print(session, &planned)?;
-        status_line("no observations can be made from these recordings: use --mapping for other topics");
+        let topics = &planned.surveyed.topics;
+        status_line(if topics.iter().all(|topic| topic.messages == 0) {
+            "no observations can be made from these recordings: they have no messages"
+        } else if topics.iter().all(|topic| topic.messages == topic.unread) {
+            "no observations can be made from these recordings: their messages cannot be read"
+        } else {
+            "no observations can be made from these recordings: use --mapping for other topics"
+        });
         return Ok(ExitCode::FAILURE);
     }
     list::report(&planned);
@@ -155,7 +173,13 @@ async fn planned(args: &ImportArgs) -> anyhow::Result<Planned> {
     };
     let recording = Recording::open(&args.files)?;
     let bar = Bar::bytes(Some(recording.bytes()));
-    let wishes = Wishes { mapping, topics: args.topics.clone(), frame: args.frame.clone() };
+    let wishes = Wishes {
+        mapping,
+        topics: args.topics.clone(),
+        frame: args.frame.clone(),
+        transform_gap_nanos: args.transform_gap,
+        pose_from: args.pose_from.as_deref().map(PoseSource::read),
+    };
     let reading = (recording.clone(), wishes.clone(), bar.clone());
     let survey = tokio::task::spawn_blocking(move || files::survey(&reading.0, &reading.1, &reading.2)).await;
     bar.clear();

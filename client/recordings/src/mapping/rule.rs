@@ -126,7 +126,7 @@ impl Template {
 /// A value as a word: text as it is, numbers in decimal.
 pub(crate) fn shown(value: &Value<'_>) -> Option<String> {
     match value {
-        Value::Text(_) => value.text(),
+        Value::Text(_) | Value::WideText(_) => value.text(),
         Value::Bool(value) => Some(value.to_string()),
         Value::Integer(value) => Some(value.to_string()),
         Value::Float(value) => Some(value.to_string()),

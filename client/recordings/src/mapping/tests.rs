@@ -18,6 +18,7 @@ fn a_mapping_is_read() -> Result<(), Box<dyn std::error::Error>> {
     assert!(matches!(&mapping.states[0].value, ValueRule::Table(table) if table.get("2").is_some_and(|to| to == "1")));
     assert!(mapping.states[3].place.each.is_some() && mapping.states[3].value == ValueRule::Same(1.0));
     assert_eq!(mapping.traversals[0].success, ["success", "true"]);
+    assert_eq!(Mapping::read("transform_gap: 7.5")?.transform_gap_nanos, Some(7_500_000_000));
     assert_eq!(Mapping::read("")?, Mapping::default());
     Ok(())
 }
@@ -34,6 +35,7 @@ fn what_is_wrong_with_a_mapping_is_reported_with_its_entry() {
         ("states: {/t.data: {state: t, kind: continuous, reports: events}}", "events is for"),
         ("positions: {/p.pose: {state: p, dimensions: 4}}", "use 2 or 3"),
         ("traversals: {/stats.x: {from: a, to: b, seconds: c, status: d, success: [e]}}", "topic alone"),
+        ("transform_gap: -1", "transform_gap: -1 is no time"),
         ("state: {}", "state"),
         ("- a", ""),
     ] {

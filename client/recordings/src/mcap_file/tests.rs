@@ -88,7 +88,9 @@ fn topics_and_messages_come_in_the_order_of_the_file() {
         let other = Topic {
             name: "/other".to_owned(),
             type_name: "a_msgs/Other".to_owned(),
-            encoding: Encoding::Other("protobuf".to_owned()),
+            encoding: Encoding::Unreadable(
+                "its schema is in \"ros2idl\"; messages in protobuf need one in protobuf".to_owned(),
+            ),
             definition: String::new(),
             is_latched: false,
         };

@@ -13,11 +13,24 @@ pub(super) struct MessageCursor<'a> {
     alignment: Option<(usize, usize)>,
     is_big_endian: bool,
     values: usize,
+    wide: WideForm,
+}
+
+/// How wide text is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum WideForm {
+    /// The number of letters, then each in four bytes.
+    #[default]
+    FourBytes,
+    /// The number of letters, then each in two bytes.
+    TwoBytes,
+    /// The number of bytes, then each letter in two of them.
+    TwoBytesCounted,
 }
 
 impl<'a> MessageCursor<'a> {
     pub(super) fn ros1(bytes: &'a [u8]) -> Self {
-        Self { bytes, at: 0, alignment: None, is_big_endian: false, values: 0 }
+        Self { bytes, at: 0, alignment: None, is_big_endian: false, values: 0, wide: WideForm::default() }
     }
 
     pub(super) fn cdr(bytes: &'a [u8]) -> Result<Self, MessageError> {
@@ -32,7 +45,16 @@ impl<'a> MessageCursor<'a> {
             (0, 7) => (false, 4),
             _ => return Err(MessageError::Representation([first, second])),
         };
-        Ok(Self { bytes, at: 4, alignment: Some((4, largest)), is_big_endian, values: 0 })
+        Ok(Self { bytes, at: 4, alignment: Some((4, largest)), is_big_endian, values: 0, wide: WideForm::default() })
+    }
+
+    pub(super) fn with_wide(self, wide: WideForm) -> Self {
+        Self { wide, ..self }
+    }
+
+    /// Whether no more than padding is left.
+    pub(super) fn is_at_end(&self) -> bool {
+        self.bytes.len() - self.at < 4
     }
 
     /// A structure without fields takes one byte in CDR.
@@ -77,6 +99,15 @@ impl<'a> MessageCursor<'a> {
                 let text = if self.alignment.is_some() { bytes.strip_suffix(&[0]).unwrap_or(bytes) } else { bytes };
                 Ok(Value::Text(text))
             }
+            Primitive::WideText => {
+                let length = self.length(field)?;
+                let (primitive, count) = match self.wide {
+                    WideForm::FourBytes => (Primitive::Uint32, length),
+                    WideForm::TwoBytes => (Primitive::Uint16, length),
+                    WideForm::TwoBytesCounted => (Primitive::Uint16, length / 2),
+                };
+                self.numbers(primitive, count, field).map(Value::WideText)
+            }
             Primitive::Time | Primitive::Duration => {
                 let half = if primitive == Primitive::Time { Primitive::Uint32 } else { Primitive::Int32 };
                 let seconds = self.integer(half, field)?;
@@ -119,7 +150,7 @@ impl<'a> MessageCursor<'a> {
 }
 
 /// The number that the bytes encode; 0 if their count is not the size of the type.
-pub(super) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
+pub(crate) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool) -> Value<'a> {
     macro_rules! read {
         ($type:ty) => {{
             let bytes = bytes.try_into().unwrap_or_default();
@@ -138,6 +169,6 @@ pub(super) fn number<'a>(primitive: Primitive, bytes: &[u8], is_big_endian: bool
         Primitive::Uint64 => Value::Integer(read!(u64).into()),
         Primitive::Float32 => Value::Float(read!(f32).into()),
         Primitive::Float64 => Value::Float(read!(f64)),
-        Primitive::Text | Primitive::Time | Primitive::Duration => Value::Nanos(0),
+        Primitive::Text | Primitive::WideText | Primitive::Time | Primitive::Duration => Value::Nanos(0),
     }
 }

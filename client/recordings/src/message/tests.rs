@@ -142,3 +142,42 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn wide_text_is_read_in_each_form() -> Outcome {
+    let layout =
+        layout::of_type("t/Wide", "wstring<=9 name\nuint8 mode\nwstring[] words\nfloat64 last", &Encoding::Cdr)?;
+    // Each form: the bytes of a letter, and whether the length counts bytes.
+    for (size, counts_bytes) in [(4, false), (2, false), (2, true)] {
+        let mut bytes = vec![0, 1, 0, 0];
+        let align = |bytes: &mut Vec<u8>, size: usize| bytes.resize(4 + (bytes.len() - 4).next_multiple_of(size), 0);
+        let text = |bytes: &mut Vec<u8>, text: &str| {
+            align(bytes, 4);
+            let letters: Vec<u32> = match size {
+                4 => text.chars().map(u32::from).collect(),
+                _ => text.encode_utf16().map(u32::from).collect(),
+            };
+            let length = if counts_bytes { letters.len() * size } else { letters.len() };
+            bytes.extend(u32::try_from(length).unwrap_or(0).to_le_bytes());
+            letters.iter().for_each(|letter| bytes.extend(&letter.to_le_bytes()[..size]));
+        };
+        text(&mut bytes, "Tür🚪");
+        bytes.push(3);
+        align(&mut bytes, 4);
+        bytes.extend(2_u32.to_le_bytes());
+        text(&mut bytes, "a");
+        text(&mut bytes, "bcd");
+        align(&mut bytes, 8);
+        bytes.extend(2.5_f64.to_le_bytes());
+        let message = read(&layout, &Encoding::Cdr, &bytes)?;
+        assert_eq!(message.field("name").and_then(Value::text).as_deref(), Some("Tür🚪"), "{size} {counts_bytes}");
+        assert_eq!(message.field("mode").and_then(Value::integer), Some(3));
+        assert_eq!(message.field("last").and_then(Value::number), Some(2.5));
+        let words: Option<Vec<_>> =
+            message.field("words").and_then(Value::list).map(|words| words.iter().filter_map(Value::text).collect());
+        assert_eq!(words, Some(vec!["a".to_owned(), "bcd".to_owned()]));
+        bytes.truncate(20);
+        assert!(read(&layout, &Encoding::Cdr, &bytes).is_err());
+    }
+    Ok(())
+}

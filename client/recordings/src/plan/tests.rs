@@ -71,7 +71,7 @@ fn each_usual_type_becomes_what_it_is() -> Outcome {
     let why = |index: usize| plan_made.topics[index].skipped.clone().unwrap_or_default();
     assert!(why(1).contains("scans are taken") && why(2).contains("costs") && why(8).contains("without a mapping"));
     let mapping = Mapping::read("grid: [/map]\nskip: [/scan]\nstates: {/kitchen/door.data: door}")?;
-    let wishes = Wishes { mapping, topics: vec!["/map".to_owned(), "/kitchen/door".to_owned()], frame: None };
+    let wishes = Wishes { mapping, topics: vec!["/map".to_owned(), "/kitchen/door".to_owned()], ..Wishes::default() };
     assert_eq!(becomes(&surveyed, &wishes)?[..4], [nothing, "grids", nothing, "state door"]);
     Ok(())
 }

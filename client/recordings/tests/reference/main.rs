@@ -14,6 +14,7 @@ use tidemap_recordings::{
 #[path = "../../../../server/model/tests/recordings/folder.rs"]
 mod beside;
 mod cells;
+mod foxglove;
 
 /// Type, number of messages, first and last time of recording.
 type Found = (String, u64, Option<(i64, i64)>);

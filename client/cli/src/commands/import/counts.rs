@@ -4,7 +4,11 @@
 
 use std::collections::BTreeMap;
 
-use tidemap_recordings::{convert::NotMade, plan::Plan, survey::Surveyed};
+use tidemap_recordings::{
+    convert::{BeamCounts, NotMade},
+    plan::Plan,
+    survey::Surveyed,
+};
 
 use crate::progress::status_line;
 
@@ -20,6 +24,8 @@ pub(super) struct TopicCount {
     pub(super) skipped: u64,
     /// Observations that are wrong, or that the daemon refused.
     pub(super) refused: u64,
+    /// The beams of the scans and clouds that have a place.
+    beams: BeamCounts,
     reasons: BTreeMap<String, u64>,
     other_reasons: u64,
 }
@@ -84,14 +90,26 @@ impl TopicCounts {
         }
     }
 
+    /// Takes the beams of each topic so far.
+    pub(super) fn have_beams(&mut self, beams: &BTreeMap<usize, BeamCounts>) {
+        for (topic, beams) in beams {
+            if let Some(count) = self.0.get_mut(*topic) {
+                count.beams = *beams;
+            }
+        }
+    }
+
     /// Whether anything is wrong, or was refused.
     pub(super) fn has_refused(&self) -> bool {
         self.0.iter().any(|count| count.refused > 0)
     }
 
-    /// Reports the reasons.
+    /// Reports the reasons, and the beams without a return.
     pub(super) fn report(&self, surveyed: &Surveyed) {
         for (topic, count) in surveyed.topics.iter().zip(&self.0) {
+            for notice in count.beams.notices() {
+                status_line(&format!("{}: {notice}", topic.name));
+            }
             for (why, times) in &count.reasons {
                 let times = if *times == 1 { String::new() } else { format!(", {times} times") };
                 status_line(&format!("{}: {why}{times}", topic.name));

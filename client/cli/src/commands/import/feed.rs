@@ -3,7 +3,10 @@
 //! Invariant: observations come in the order of the recordings; the memory for observations that are read in advance is
 //! bounded, whatever the size of the recordings.
 
-use std::{collections::HashSet, thread};
+use std::{
+    collections::{BTreeMap, HashSet},
+    thread,
+};
 
 use anyhow::Context as _;
 use tidemap_client::{
@@ -12,7 +15,7 @@ use tidemap_client::{
     routes::StateName,
 };
 use tidemap_recordings::{
-    convert::{ConvertOptions, Converter, Item, Made, NotMade},
+    convert::{BeamCounts, ConvertOptions, Converter, Item, Made, NotMade},
     recording::{RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 use tokio::sync::mpsc;
@@ -66,6 +69,8 @@ pub(super) struct ImportChunk {
     pub(super) position: u64,
     /// Whether this is the last chunk of all files.
     pub(super) is_last: bool,
+    /// The beams of each topic so far.
+    pub(super) beams: BTreeMap<usize, BeamCounts>,
     bytes: usize,
 }
 
@@ -75,7 +80,8 @@ pub(super) type ImportChunks = mpsc::Receiver<anyhow::Result<ImportChunk>>;
 pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) -> anyhow::Result<ImportChunks> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let merge = if args.every_point { None } else { prepared.cells() };
-    let options = ConvertOptions { clock: args.times.into(), merge, period_nanos: args.period.unwrap_or(0) };
+    let period_nanos = args.period.unwrap_or(0);
+    let options = ConvertOptions { clock: args.times.into(), merge, period_nanos, at_header: args.at_stamp };
     let mut reader = Reader {
         converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), options),
         grid: prepared.grid.clone(),
@@ -134,7 +140,8 @@ impl Reader {
 
     fn pass_on(&mut self) -> Result<(), Stopped> {
         let position = self.chunk.position;
-        let chunk = std::mem::replace(&mut self.chunk, ImportChunk { position, ..ImportChunk::default() });
+        let mut chunk = std::mem::replace(&mut self.chunk, ImportChunk { position, ..ImportChunk::default() });
+        chunk.beams.clone_from(self.converter.beams());
         self.sender.blocking_send(Ok(chunk)).map_err(|_| Stopped)
     }
 

@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::Context as _;
 use tidemap_recordings::{
-    folder::{Folder, METADATA_BYTES_MAX, METADATA_NAME, ZSTD_ENDING},
+    folder::{Folder, METADATA_BYTES_MAX, METADATA_NAME, ZSTD_ENDING, renamed},
     kind::{self, DETECT_BYTES},
     plan::Wishes,
     recording::{Ending, FileKind, RecordedMessage, RecordingError, Sink, Stopped, Topic},
@@ -21,7 +21,7 @@ use tidemap_recordings::{
 };
 
 use crate::{
-    commands::usage,
+    commands::{shell_word::quoted, usage},
     progress::{Bar, status_line},
 };
 
@@ -91,9 +91,10 @@ impl RecordedFile {
             let log = PathBuf::from(format!("{shown}{LOG_ENDING}"));
             if kind == FileKind::Sqlite && fs::metadata(&log).is_ok_and(|log| log.len() > 0) {
                 status_line(&format!(
-                    "{shown}: {} beside it holds messages that are not in the file yet, which are left out: they are \
-                     taken in when the recording is opened with ros2 bag once",
-                    log.display()
+                    "{shown}: the newest messages are not in this file yet, but in {} beside it, and are left out: \
+                     close the recorder, or run sqlite3 {} 'PRAGMA wal_checkpoint(TRUNCATE)'",
+                    log.display(),
+                    quoted(&shown)
                 ));
             }
             Ok(Self { path: path.to_path_buf(), kind, is_packed, bytes })
@@ -159,18 +160,31 @@ fn of_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let file = File::open(&metadata).with_context(shown)?;
     file.take(METADATA_BYTES_MAX as u64 + 1).read_to_string(&mut text).with_context(shown)?;
     let read = Folder::parse(&text).with_context(shown)?;
-    Ok(read.files.into_iter().map(|name| folder.join(name)).collect())
+    let present: Vec<String> = fs::read_dir(folder)
+        .with_context(|| folder.display().to_string())?
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
+    let (files, renamed) = renamed(read.files, &present).with_context(shown)?;
+    for (before, now) in renamed {
+        status_line(&format!("{}: {METADATA_NAME} lists {before}, which is missing; {now} is taken", folder.display()));
+    }
+    Ok(files.into_iter().map(|name| folder.join(name)).collect())
 }
 
 /// Reads the files once, to find their contents.
 pub(super) fn survey(recording: &Recording, wishes: &Wishes, bar: &Bar) -> anyhow::Result<Surveyed> {
     let mut survey = Survey::without_transforms_of(&wishes.mapping.skip);
+    if let Some(source) = wishes.pose_source() {
+        survey.take_poses(source.clone());
+    }
     surveyed(recording, bar, &mut survey, true)?;
     if survey.has_too_many_transforms() {
         survey.again_with_sensors(wishes.frame.as_deref());
         surveyed(recording, bar, &mut survey, false)?;
     }
-    Ok(survey.finish())
+    let mut surveyed = survey.finish();
+    surveyed.frames.set_gap(wishes.gap_nanos());
+    Ok(surveyed)
 }
 
 fn surveyed(recording: &Recording, bar: &Bar, survey: &mut Survey, is_first: bool) -> anyhow::Result<()> {
@@ -178,10 +192,13 @@ fn surveyed(recording: &Recording, bar: &Bar, survey: &mut Survey, is_first: boo
         survey.next_file();
         let watched = bar.clone();
         survey.watch(move |position| watched.set(before + position));
+        let messages = survey.messages();
         if let Ending::CutOff(how) = file.read(survey).with_context(|| file.shown())?
             && is_first
         {
-            bar.status_line(&format!("{}: {how}; the part before is taken", file.shown()));
+            let taken =
+                if survey.messages() > messages { "the part before is taken" } else { "it has no message before that" };
+            bar.status_line(&format!("{}: {how}; {taken}", file.shown()));
         }
     }
     Ok(())

@@ -4,8 +4,8 @@
 
 use tidemap_formats::table::Cell;
 use tidemap_recordings::{
-    plan::{FrameChoice, GridUse, TopicPlan},
-    survey::TopicSurvey,
+    plan::{FrameChoice, GridUse, TopicPlan, pose_topics},
+    survey::{TakenPoses, TopicSurvey},
 };
 
 use super::{Planned, counts::TopicCounts};
@@ -79,11 +79,26 @@ pub(super) fn report(planned: &Planned) {
         matches!(topic_plan.grid, Some(GridUse::Scans | GridUse::Clouds)) && !topic.frame.is_empty() && !within
     });
     if let Some((topic, _)) = unplaced {
+        let poses: Vec<&str> = pose_topics(surveyed).map(|topic| topic.name.as_str()).take(5).collect();
+        let poses = match poses.first() {
+            Some(first) if surveyed.poses.is_none() => {
+                format!("; --pose-from {first} takes the poses of that topic (there are {})", poses.join(", "))
+            }
+            _ => String::new(),
+        };
         status_line(&format!(
             "the recording has no transforms that give the position of {:?} of {}, so its messages have no place: \
-             if it stood still, add --frame {}",
+             if it stood still, add --frame {}{poses}",
             topic.frame, topic.name, topic.frame
         ));
+    }
+    if let Some(poses) = &surveyed.poses {
+        let TakenPoses { child, taken, unused, problem } = poses;
+        status_line(&format!("{taken} poses give the place of frame {child:?}, in place of its transforms"));
+        if *unused > 0 {
+            let why = problem.as_deref().unwrap_or_default();
+            status_line(&format!("{unused} poses are not used: {why}"));
+        }
     }
     let conflicts: Vec<&str> = surveyed.frames.conflicts().collect();
     if !conflicts.is_empty() {

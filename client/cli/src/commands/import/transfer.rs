@@ -97,7 +97,7 @@ impl ImportTransfer {
 
     async fn send_all(&mut self) -> TransferEnd {
         loop {
-            let ImportChunk { items, position, is_last, .. } = match self.chunk().await {
+            let ImportChunk { items, position, is_last, beams, .. } = match self.chunk().await {
                 Ok(Some(chunk)) => chunk,
                 Ok(None) => return TransferEnd::Unreadable(anyhow::anyhow!("the reading ended before its last chunk")),
                 Err(end) => return end,
@@ -115,6 +115,7 @@ impl ImportTransfer {
                     return ended;
                 }
             }
+            self.counts.have_beams(&beams);
             self.bar.set(position);
             self.collect();
             if is_last {
