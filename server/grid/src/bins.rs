@@ -141,7 +141,8 @@ impl SeenScans {
         let mut cells: Vec<CellOdds> = Vec::new();
         for cell in flipped.cells() {
             slots[usize::from(cell)] = cells.len() as u16;
-            let (is_observed, is_occupied) = (tile.first.observed().contains(cell), tile.first.occupied().contains(cell));
+            let (is_observed, is_occupied) =
+                (tile.first.observed().contains(cell), tile.first.occupied().contains(cell));
             cells.push(CellOdds { is_observed, is_occupied, since: 0, odds: vec![None; self.bins.len()] });
         }
         let (mut passed, mut ranges) = (0, self.ranges.as_slice());

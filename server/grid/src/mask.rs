@@ -212,9 +212,7 @@ mod tests {
             for cell in (0..512).step_by(7).chain([0, 511]) {
                 // The neighbour of `place` on this side is `cell`, here or in the next tile.
                 let (here, next) = (TileIndex::default(), TileIndex::default().neighbour(axis, is_up));
-                for (tile, own, beyond) in
-                    [(here, Mask::of(cell), Mask::EMPTY), (next, Mask::EMPTY, Mask::of(cell))]
-                {
+                for (tile, own, beyond) in [(here, Mask::of(cell), Mask::EMPTY), (next, Mask::EMPTY, Mask::of(cell))] {
                     let mut at = <[i32; 3]>::from(tile.cell(cell));
                     at[axis] -= if is_up { 1 } else { -1 };
                     let (of, place) = crate::index::CellIndex::from(at).tile();

@@ -6,7 +6,13 @@ use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_model::{OrderCriterion, Periodicities};
 
-use crate::{live::LiveGrid, scan::Scans, snapshot::GridSnapshot, spec::{Evidence, GridSpec}, update::rules::UpdateLimits};
+use crate::{
+    live::LiveGrid,
+    scan::Scans,
+    snapshot::GridSnapshot,
+    spec::{Evidence, GridSpec},
+    update::rules::UpdateLimits,
+};
 
 pub(crate) const SECOND: i64 = 1_000_000_000;
 pub(crate) const HOUR: i64 = 3600 * SECOND;

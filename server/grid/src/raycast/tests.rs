@@ -309,7 +309,13 @@ fn planar_scans_may_believe_very_far() {
     let spec = GridSpec { extent: Some(extent), ..unit() };
     for (max, turn) in [(1e18f32, 1), (1e30, 3), (f32::MAX, 5), (f32::MAX, 7)] {
         let angle_min_rad = f64::from(turn) * std::f64::consts::FRAC_PI_4;
-        let rays = Rays::Planar { angle_min_rad, angle_increment_rad: 0.0, ranges_m: vec![f32::INFINITY], sensor_range_m: 1.0, free_range_m: max };
+        let rays = Rays::Planar {
+            angle_min_rad,
+            angle_increment_rad: 0.0,
+            ranges_m: vec![f32::INFINITY],
+            sensor_range_m: 1.0,
+            free_range_m: max,
+        };
         let readings = Readings { pose: at([0.5; 3]), min_range_m: 0.0, max_range_m: Some(max), rays };
         let sign = |along: f64| if along > 0.0 { 1 } else { -1 };
         check_diagonal(&spec, &readings, [0; 3], [sign(angle_min_rad.cos()), sign(angle_min_rad.sin()), 0]);
