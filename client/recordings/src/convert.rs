@@ -8,7 +8,10 @@ mod merged;
 mod motion;
 mod sensors;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+};
 
 use nalgebra::Isometry3;
 
@@ -26,6 +29,9 @@ use crate::{
 
 /// Maximum number of characters of a value in a message.
 const SHOWN_CHARS: usize = 80;
+
+/// The number of stamps that are kept of a topic and frame: messages with the same stamp follow each other closely.
+const LAST_STAMPS: usize = 16;
 
 /// The clock that gives the times of observations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -150,6 +156,20 @@ pub enum NotMade {
     /// Another scan of the topic was taken shortly before.
     #[error("left out, because one shortly before is taken")]
     Thinned,
+    /// The robot's clock went back, and another part of the recording is taken.
+    #[error(
+        "left out, because the robot's clock went back before or after it, and another part of the recording is taken"
+    )]
+    OtherPart,
+    /// Another scan or cloud of its topic and frame has the same stamp.
+    #[error(
+        "left out, because another message of its topic and frame has the same stamp; --times recorder takes each at \
+         its time of recording"
+    )]
+    SameStamp,
+    /// The same scan or cloud came before.
+    #[error("left out, because the same message came before")]
+    Repeated,
     /// The value maps to no value of the state.
     #[error("the value {0:?} means no value of the state")]
     LeftOut(String),
@@ -197,6 +217,8 @@ pub struct Converter {
     connections: Vec<TopicReader>,
     /// The last grid of each topic of grids whose changes are taken.
     grids: BTreeMap<usize, (PlacedGrid, String)>,
+    /// The last stamps of each topic and frame of scans or clouds, with checksums of the messages.
+    stamps: BTreeMap<(usize, String), VecDeque<(i64, u32)>>,
     /// The beams of the placed scans and clouds of each topic.
     beams: BTreeMap<usize, BeamCounts>,
 }
@@ -204,8 +226,8 @@ pub struct Converter {
 impl Converter {
     /// Prepares to convert.
     pub fn new(surveyed: Arc<Surveyed>, plan: Arc<Plan>, options: ConvertOptions) -> Self {
-        let (table, connections, grids, taken, beams) = Default::default();
-        Self { surveyed, plan, options, taken, table, connections, grids, beams }
+        let (table, connections, grids, taken, stamps, beams) = Default::default();
+        Self { surveyed, plan, options, taken, table, connections, grids, stamps, beams }
     }
 
     /// Begins the next file of the recording.
@@ -247,8 +269,18 @@ impl Converter {
         let stamp_nanos = stamp.unwrap_or(recorded_nanos);
         let time_nanos = if self.options.clock == Clock::Stamps { stamp_nanos } else { recorded_nanos };
         let mut made: Vec<Result<Made, NotMade>> = Vec::new();
+        let is_placed = plan.grid.is_some() || !plan.positions.is_empty();
+        if stamp.is_some()
+            && (is_placed || self.options.clock == Clock::Stamps)
+            && self.surveyed.part.is_some_and(|part| !part.contains(recorded_nanos))
+        {
+            return vec![Err(NotMade::OtherPart)];
+        }
         if let Some(grid) = plan.grid {
-            made.push(if self.is_thinned(grid, index, time_nanos) {
+            let same = stamp.and_then(|stamp| self.same_stamp(grid, (index, &known::frame(&message)), stamp, data));
+            made.push(if let Some(why) = same {
+                Err(why)
+            } else if self.is_thinned(grid, index, time_nanos) {
                 Err(NotMade::Thinned)
             } else {
                 self.grid(grid, index, &message, stamp_nanos)
@@ -264,6 +296,27 @@ impl Converter {
             made.push(traversal(rule, &message, time_nanos));
         }
         made.into_iter().map(|made| made.map(|made| Item { time_nanos, made })).collect()
+    }
+
+    /// Why a scan or a cloud is left out that has the stamp of another one.
+    fn same_stamp(&mut self, grid: GridUse, (topic, frame): (usize, &str), stamp: i64, data: &[u8]) -> Option<NotMade> {
+        if !matches!(grid, GridUse::Scans | GridUse::Clouds) {
+            return None;
+        }
+        let sum = crc32fast::hash(data);
+        let last = self.stamps.entry((topic, frame.to_owned())).or_default();
+        if let Some((_, other)) = last.iter().find(|(other, _)| *other == stamp) {
+            let has_own_time = self.options.clock == Clock::Recorder;
+            return match *other == sum {
+                true => Some(NotMade::Repeated),
+                false => (!has_own_time).then_some(NotMade::SameStamp),
+            };
+        }
+        if last.len() == LAST_STAMPS {
+            last.pop_front();
+        }
+        last.push_back((stamp, sum));
+        None
     }
 
     /// Whether a scan, a cloud or a grid follows another one of its topic too soon. Changes of grids build upon each

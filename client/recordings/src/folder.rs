@@ -93,16 +93,16 @@ impl Folder {
     }
 }
 
+/// A listed name that is missing, and the file that is taken in its place.
+pub type Renamed = (String, String);
+
 /// Names of a recording's files in a folder, for the names that its `metadata.yaml` lists: files may have been renamed.
 /// `present`: the files of the folder, those inside of its own folders left out. The second value has the pairs of a
 /// listed name that is missing, and the file that is taken in its place.
 ///
 /// # Errors
 /// Listed files are missing, and it is not clear which others they are.
-pub fn renamed(
-    listed: Vec<String>,
-    present: &[String],
-) -> Result<(Vec<String>, Vec<(String, String)>), RecordingError> {
+pub fn renamed(listed: Vec<String>, present: &[String]) -> Result<(Vec<String>, Vec<Renamed>), RecordingError> {
     let is_there = |name: &String| present.contains(name) || name.contains('/');
     let missing: Vec<&String> = listed.iter().filter(|name| !is_there(name)).collect();
     if missing.is_empty() {
@@ -125,7 +125,7 @@ pub fn renamed(
             names(&others)
         )));
     }
-    let pairs: Vec<(String, String)> = missing.into_iter().cloned().zip(others.into_iter().cloned()).collect();
+    let pairs: Vec<Renamed> = missing.into_iter().cloned().zip(others.into_iter().cloned()).collect();
     let now = |name: String| pairs.iter().find(|(before, _)| *before == name).map_or(name, |(_, now)| now.clone());
     Ok((listed.iter().cloned().map(now).collect(), pairs))
 }

@@ -5,7 +5,9 @@
 //! between two that differ and are far apart in time, or too far in space for their time. The number of samples is
 //! bounded.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+mod doubt;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -75,6 +77,17 @@ pub enum FrameError {
         /// The longest time between samples, nanoseconds.
         gap_nanos: i64,
     },
+    /// The samples before and after the time are further apart than anything drives.
+    #[error("the transforms from {parent:?} to {child:?} jump from one place to another there")]
+    Jump {
+        /// Parent of the link.
+        parent: String,
+        /// Child of the link.
+        child: String,
+    },
+    /// The transforms of a frame cannot be those of one robot.
+    #[error("{0}")]
+    Doubt(String),
     /// The time lies after the last sample of a link.
     #[error("the time is after the last transform from {parent:?} to {child:?}")]
     After {
@@ -142,6 +155,8 @@ pub struct Frames {
     gap_nanos: Option<i64>,
     /// Frames whose transforms hold for all time if they do not change.
     lasting: HashSet<String>,
+    /// Frames whose transforms cannot be those of one robot, and why.
+    doubts: BTreeMap<String, String>,
 }
 
 /// A frame's name without the leading slash of old recordings.
@@ -219,6 +234,25 @@ impl Frames {
         }
     }
 
+    /// Why the transforms of some frames cannot be those of one robot: they give no pose.
+    pub fn doubts(&self) -> impl Iterator<Item = &str> {
+        self.doubts.values().map(String::as_str)
+    }
+
+    /// A tree with the static transforms alone.
+    pub fn without_moving(&self) -> Self {
+        let is_static = |link: &Link| matches!(link, Link::Static { .. });
+        let links = self.links.iter().filter(|(_, link)| is_static(link));
+        Self {
+            links: links.map(|(child, link)| (child.clone(), link.clone())).collect(),
+            samples: 0,
+            conflicts: self.conflicts.clone(),
+            gap_nanos: self.gap_nanos,
+            lasting: self.lasting.clone(),
+            doubts: BTreeMap::new(),
+        }
+    }
+
     /// Frames whose parent or static pose changed, only some if there are many.
     pub fn conflicts(&self) -> impl Iterator<Item = &str> {
         self.conflicts.iter().map(String::as_str)
@@ -238,9 +272,14 @@ impl Frames {
                 continue;
             }
             tracks.sort_by_key(|track| std::cmp::Reverse(track.samples.len()));
+            for Track { samples, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {
+                samples.sort_by_key(|sample| sample.time_nanos);
+            }
+            if let Some(why) = doubt::of(child, tracks) {
+                self.doubts.insert(child.clone(), why);
+            }
             tracks.truncate(1);
             for Track { samples, is_sorted, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {
-                samples.sort_by_key(|sample| sample.time_nanos);
                 samples.reverse();
                 samples.dedup_by_key(|sample| sample.time_nanos);
                 samples.reverse();
@@ -347,6 +386,9 @@ impl Frames {
         match self.links.get(child) {
             None => Err(FrameError::Unknown(child.to_owned())),
             Some(Link::Static { pose, .. }) => Ok(*pose),
+            Some(Link::Moving(_)) if self.doubts.contains_key(child) => {
+                Err(FrameError::Doubt(self.doubts.get(child).cloned().unwrap_or_default()))
+            }
             Some(Link::Moving(tracks)) => {
                 let Some(Track { parent, samples, .. }) = tracks.first() else {
                     return Err(FrameError::Unknown(child.to_owned()));
@@ -361,6 +403,10 @@ impl Frames {
                         if apart > i128::from(gap_nanos) && !is_within(&before.pose, &after.pose, ALIKE_M, ALIKE_RAD) {
                             let (parent, child) = names();
                             return Err(FrameError::Gap { parent, child, gap_nanos });
+                        }
+                        if doubt::is_jump(before, after) {
+                            let (parent, child) = names();
+                            return Err(FrameError::Jump { parent, child });
                         }
                         Ok(between(before, after, time_nanos))
                     }

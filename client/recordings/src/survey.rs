@@ -3,6 +3,7 @@
 //! Invariant: connections of one topic and type count together. Messages that cannot be read are counted, with the
 //! first reason; none ends the survey.
 
+mod clock;
 mod poses;
 
 use std::{
@@ -20,8 +21,11 @@ use crate::{
     recording::{Encoding, RecordedMessage, RecordingError, Sink, Stopped, Topic},
 };
 
-use self::poses::Poses;
-pub use self::poses::{PoseSource, TakenPoses};
+use self::{clock::RobotClock, poses::Poses};
+pub use self::{
+    clock::TakenPart,
+    poses::{PoseSource, TakenPoses},
+};
 
 /// Types whose messages are transforms.
 const TRANSFORM_TYPES: [&str; 2] = ["tf2_msgs/TFMessage", "tf/tfMessage"];
@@ -149,6 +153,7 @@ pub struct Survey {
     /// Topics whose transforms are left out.
     skipped: Vec<String>,
     poses: Option<Poses>,
+    clock: RobotClock,
     passed_over: u64,
     first_passed_over: Option<String>,
 }
@@ -222,9 +227,12 @@ impl Survey {
         let sensor = self.topics.iter().filter(is_sensor).map(|topic| topic.frame.as_str());
         let sensor = sensor.clone().find(|frame| !frame.is_empty()).unwrap_or_default();
         self.too_many |= self.poses.as_ref().is_some_and(|poses| poses.has_too_many);
-        let poses = self.poses.take().map(|poses| poses.put_into(&mut self.frames, sensor));
+        let part = self.clock.finish(&mut self.frames);
+        let is_taken = |recorded_nanos| part.is_none_or(|part| part.contains(recorded_nanos));
+        let poses = self.poses.take().map(|poses| poses.put_into(&mut self.frames, sensor, is_taken));
         self.frames.finish();
         Surveyed {
+            part,
             topics: self.topics,
             frames: self.frames,
             poses,
@@ -248,6 +256,10 @@ impl Survey {
             };
             if transform.time_nanos == 0 {
                 transform.time_nanos = recorded_nanos;
+            }
+            if !is_static && !lasts {
+                let source = [&transform.child, "\n", &transform.parent].concat();
+                self.clock.stamped(&source, transform.time_nanos, recorded_nanos, &mut self.frames);
             }
             if self.parents.len() < crate::recording::TOPICS_MAX {
                 self.parents.insert(transform.child.clone(), transform.parent.clone());
@@ -273,6 +285,8 @@ pub struct Surveyed {
     pub topics: Vec<TopicSurvey>,
     /// The tree of its frames.
     pub frames: Frames,
+    /// The part that is taken, if the robot's clock went back.
+    pub part: Option<TakenPart>,
     /// The poses that were taken in place of transforms.
     pub poses: Option<TakenPoses>,
     /// Number of transforms that are none: not finite, or without names.
@@ -347,6 +361,13 @@ impl Sink for Survey {
                 }
                 if topic.frame.is_empty() {
                     topic.frame = known::frame(&value);
+                }
+                if let Some(stamp) = known::stamp(&value).filter(|stamp| *stamp != 0)
+                    && (known::is_scan(&topic.type_name) || known::is_cloud(&topic.type_name))
+                {
+                    // Scanners of one topic may have different clocks.
+                    let source = [&topic.name, "\n\n", &known::frame(&value)].concat();
+                    self.clock.stamped(&source, stamp, message.recorded_nanos, &mut self.frames);
                 }
                 if let Some(poses) = self.poses.as_mut().filter(|poses| poses.source.topic == topic.name) {
                     poses.add(&topic.type_name, &value, message.recorded_nanos);

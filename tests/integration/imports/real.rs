@@ -9,7 +9,8 @@ use super::{counts, started, words};
 #[track_caller]
 fn imported(daemon: &Daemon, map: &str, file: &str, topics: &[(&str, [u64; 3])], code: i32) -> String {
     let Some(bags) = recordings::folder("bags") else { return String::new() };
-    let outcome = words(daemon, &format!("import {map} {}/{file} --producer robot-1", bags.display()));
+    // The reference has one pose a scan, at its stamp.
+    let outcome = words(daemon, &format!("import {map} {}/{file} --producer robot-1 --at-stamp", bags.display()));
     let table = outcome.table_with(code);
     for (topic, wanted) in topics {
         assert_eq!(counts(&table, topic), *wanted, "{file} {topic}: {}", outcome.stderr);
@@ -40,6 +41,18 @@ fn real_recordings_become_what_is_in_them() {
     let simulated = [("/scan", [134, 0, 0]), ("/odom", [788, 0, 0])];
     let printed = imported(&daemon, "simulated", "turtlebot3", &simulated, 0);
     assert!(printed.contains("before 1990"), "{printed}");
+}
+
+#[test]
+fn a_scan_of_which_beams_come_after_the_last_transform_has_no_place() {
+    let Some(bags) = recordings::folder("bags") else { return };
+    let (_folder, daemon) = started();
+    let outcome = words(&daemon, &format!("import jarvis {}/jarvis.bag --producer robot-1", bags.display()));
+    // The last two of the 204 scans take longer than the transforms last.
+    assert_eq!(counts(&outcome.table(), "/driver_laser_navigation/laser_scan"), [202, 2, 0], "{}", outcome.stderr);
+    for words in ["laser_scan: 980 of 293760 beams have no return, and hit nothing", "after the last transform"] {
+        assert!(outcome.stderr.contains(words), "{}", outcome.stderr);
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! Invariant: what is expected follows from how the messages were written.
 
 mod markers;
+mod order;
 mod poses;
 mod times;
 

@@ -9,6 +9,9 @@ use prost_reflect::{DescriptorPool, DynamicMessage, Kind, MessageDescriptor, Val
 use super::{DEPTH_MAX, FIELDS_MAX, Field, Object, Shape, Writer};
 use crate::definition::Constant;
 
+/// Maximum number of bytes of a message. A number of one byte takes 56 once it is read.
+const MESSAGE_BYTES_MAX: usize = 16 << 20;
+
 const TIMESTAMP: &str = "google.protobuf.Timestamp";
 const DURATION: &str = "google.protobuf.Duration";
 
@@ -71,6 +74,10 @@ pub(super) fn write(
     to: &mut Writer<'_>,
 ) -> Result<(), String> {
     let name = descriptor.full_name().to_owned();
+    if message.len() > MESSAGE_BYTES_MAX {
+        let bytes = message.len();
+        return Err(format!("a message of {name} has {bytes} bytes; at most {MESSAGE_BYTES_MAX} are read of protobuf"));
+    }
     let message =
         DynamicMessage::decode(descriptor, message).map_err(|error| format!("the message is no {name}: {error}"))?;
     fields(object, &message, to)

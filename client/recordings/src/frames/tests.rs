@@ -6,6 +6,8 @@ use proptest::prelude::*;
 
 use super::*;
 
+const CENTISECOND: i64 = 10_000_000;
+
 fn turned(x: f64, yaw: f64) -> Isometry3<f64> {
     Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::z() * yaw)
 }
@@ -18,19 +20,19 @@ fn add(frames: &mut Frames, parent: &str, child: &str, time_nanos: i64, pose: Is
 #[test]
 fn a_transform_is_interpolated_between_its_samples_and_holds_nowhere_else() -> Result<(), FrameError> {
     let mut frames = Frames::default();
-    add(&mut frames, "odom", "base", 200, turned(2.0, FRAC_PI_2), false);
-    add(&mut frames, "odom", "base", 100, turned(1.0, 0.0), false);
+    add(&mut frames, "odom", "base", 200 * CENTISECOND, turned(2.0, FRAC_PI_2), false);
+    add(&mut frames, "odom", "base", 100 * CENTISECOND, turned(1.0, 0.0), false);
     add(&mut frames, "base", "laser", 0, turned(0.5, 0.0), true);
     frames.finish();
-    let half = frames.pose("base", "odom", 150)?;
+    let half = frames.pose("base", "odom", 150 * CENTISECOND)?;
     assert!((half.translation.x - 1.5).abs() < 1e-12 && (half.rotation.angle() - FRAC_PI_2 / 2.0).abs() < 1e-12);
-    let laser = frames.pose("laser", "odom", 200)?;
+    let laser = frames.pose("laser", "odom", 200 * CENTISECOND)?;
     assert!((laser.translation.vector - Vector3::new(2.0, 0.5, 0.0)).norm() < 1e-12, "{laser}");
-    assert!((frames.pose("odom", "laser", 200)? * laser).translation.vector.norm() < 1e-12);
+    assert!((frames.pose("odom", "laser", 200 * CENTISECOND)? * laser).translation.vector.norm() < 1e-12);
     let (parent, child) = ("odom".to_owned(), "base".to_owned());
     let before = FrameError::Before { parent: parent.clone(), child: child.clone() };
-    assert_eq!(frames.pose("laser", "odom", 99), Err(before));
-    assert_eq!(frames.pose("laser", "odom", 201), Err(FrameError::After { parent, child }));
+    assert_eq!(frames.pose("laser", "odom", 99 * CENTISECOND), Err(before));
+    assert_eq!(frames.pose("laser", "odom", 201 * CENTISECOND), Err(FrameError::After { parent, child }));
     assert!(frames.pose("laser", "base", 999).is_ok(), "a static transform holds for all time");
     Ok(())
 }
@@ -78,10 +80,10 @@ proptest! {
     fn a_pose_and_its_inverse_cancel(x in -9.0..9.0f64, yaw in -3.0..3.0f64, time in 0..100i64) {
         let mut frames = Frames::default();
         add(&mut frames, "map", "odom", 0, turned(x, yaw), false);
-        add(&mut frames, "map", "odom", 100, turned(-x, -yaw / 3.0), false);
+        add(&mut frames, "map", "odom", 100 * CENTISECOND, turned(-x, -yaw / 3.0), false);
         add(&mut frames, "odom", "base", 0, turned(yaw, x / 9.0), true);
-        let there = frames.pose("base", "map", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
-        let back = frames.pose("map", "base", time).map_err(|error| TestCaseError::fail(error.to_string()))?;
+        let there = frames.pose("base", "map", time * CENTISECOND).map_err(|error| TestCaseError::fail(error.to_string()))?;
+        let back = frames.pose("map", "base", time * CENTISECOND).map_err(|error| TestCaseError::fail(error.to_string()))?;
         prop_assert!((there * back).translation.vector.norm() < 1e-9);
         prop_assert!((there * back).rotation.angle() < 1e-7);
     }
@@ -110,4 +112,56 @@ fn between_transforms_that_are_far_apart_and_differ_there_is_no_pose() {
     assert_eq!(x(&frames, 1_800), Ok(50.0));
     frames.set_gap(0);
     assert!(x(&frames, 7_201).is_err_and(|error| error.contains("more than 0 s apart")));
+}
+
+fn drive(frames: &mut Frames, parent: &str, place: impl Fn(f64) -> Isometry3<f64>) {
+    for step in 0..100 {
+        add(frames, parent, "base", step * 100_000_000, place(step as f64 / 10.0), false);
+    }
+}
+
+fn at_5_secs(frames: &Frames, within: &str) -> Result<f64, String> {
+    let pose = frames.pose("base", within, 5_050_000_000);
+    pose.map(|pose| pose.translation.x).map_err(|error| error.to_string())
+}
+
+#[test]
+fn two_robots_with_the_same_frames_have_no_place() {
+    // Each of the two publishes in turn, or both at the same times.
+    for offset in [50_000_000, 0] {
+        let mut frames = Frames::default();
+        for step in 0..100 {
+            let x = step as f64 / 100.0;
+            add(&mut frames, "odom", "base", step * 100_000_000, turned(x, 0.0), false);
+            add(&mut frames, "odom", "base", step * 100_000_000 + offset, turned(5.0 - x, 0.0), false);
+        }
+        frames.finish();
+        assert!(at_5_secs(&frames, "odom").is_err_and(|why| why.contains("\"base\" jumps to and fro in \"odom\"")));
+        assert_eq!(frames.doubts().count(), 1);
+    }
+    let mut frames = Frames::default();
+    drive(&mut frames, "one/odom", |secs| turned(secs, 0.0));
+    drive(&mut frames, "two/odom", |secs| turned(3.0 - secs, 0.0));
+    frames.finish();
+    let why = at_5_secs(&frames, "one/odom");
+    assert!(why.is_err_and(|why| why.contains("moves differently in \"one/odom\" and in \"two/odom\"")));
+}
+
+#[test]
+fn one_robot_in_two_parents_or_with_a_corrected_place_keeps_its_place() {
+    let mut frames = Frames::default();
+    drive(&mut frames, "odom", |secs| turned(secs, secs / 9.0));
+    // The position in the map is that of the odometry, turned, and corrected once by a metre.
+    drive(&mut frames, "map", |secs| turned(if secs > 4.0 { 8.0 } else { 7.0 }, 1.0) * turned(secs, secs / 9.0));
+    frames.finish();
+    assert_eq!(frames.doubts().count(), 0);
+    assert!(at_5_secs(&frames, "odom").is_ok_and(|x| (x - 5.05).abs() < 1e-9));
+    let mut corrected = Frames::default();
+    drive(&mut corrected, "map", |secs| turned(if secs > 5.0 { 20.0 } else { 0.0 }, 0.0));
+    corrected.finish();
+    assert_eq!(
+        at_5_secs(&corrected, "map"),
+        Err("the transforms from \"map\" to \"base\" jump from one place to another there".to_owned())
+    );
+    assert!(corrected.pose("base", "map", 5_150_000_000).is_ok());
 }

@@ -43,7 +43,8 @@ pub struct TakenPoses {
 #[derive(Debug)]
 pub(super) struct Poses {
     pub(super) source: PoseSource,
-    kept: Vec<Transform>,
+    /// Each with its time of recording.
+    kept: Vec<(i64, Transform)>,
     taken: TakenPoses,
     pub(super) has_too_many: bool,
 }
@@ -63,7 +64,7 @@ impl Poses {
                     pose.time_nanos = recorded_nanos;
                 }
                 self.taken.taken += 1;
-                self.kept.push(pose);
+                self.kept.push((recorded_nanos, pose));
             }
             Err(error) => {
                 self.taken.unused += 1;
@@ -73,9 +74,13 @@ impl Poses {
     }
 
     /// Puts the poses in place of the transforms of the frame that has them. `sensor`: the frame of a sensor; poses
-    /// that name no frame are those of the body to which it is fixed.
-    pub(super) fn put_into(self, frames: &mut Frames, sensor: &str) -> TakenPoses {
+    /// that name no frame are those of the body to which it is fixed. `is_taken`: whether poses of a time of recording are
+    /// taken.
+    pub(super) fn put_into(self, frames: &mut Frames, sensor: &str, is_taken: impl Fn(i64) -> bool) -> TakenPoses {
         let Self { source, kept, mut taken, .. } = self;
+        let kept: Vec<Transform> =
+            kept.into_iter().filter(|(recorded, _)| is_taken(*recorded)).map(|(_, pose)| pose).collect();
+        taken.taken = kept.len() as u64;
         let named = kept.iter().map(|pose| pose.child.clone()).find(|child| !child.is_empty());
         let child = match source.child {
             Some(child) => child,

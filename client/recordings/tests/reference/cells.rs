@@ -6,7 +6,7 @@ use std::{collections::BTreeSet, path::Path, sync::Arc};
 
 use nalgebra::{Point3, Vector3};
 use tidemap_recordings::{
-    convert::{ConvertOptions, Converter, Item, Made, NotMade},
+    convert::{Clock, ConvertOptions, Converter, Item, Made, NotMade},
     kind::read,
     mapping::Mapping,
     plan::{Plan, Wishes, plan},
@@ -59,8 +59,8 @@ fn surveyed(path: &Path) -> Arc<Surveyed> {
 
 fn items(path: &Path, surveyed: &Arc<Surveyed>, plan: Plan, topic: &str) -> Vec<Result<Item, NotMade>> {
     let topic = surveyed.topics.iter().position(|known| known.name == topic).expect("the topic");
-    // The reference has one pose a scan.
-    let options = ConvertOptions { at_header: true, ..ConvertOptions::default() };
+    // The reference has one pose a scan, and takes scans with the same stamp.
+    let options = ConvertOptions { at_header: true, clock: Clock::Recorder, ..ConvertOptions::default() };
     let converter = Converter::new(surveyed.clone(), Arc::new(plan), options);
     let mut kept = Kept { converter, topic, items: Vec::new() };
     read(kind(path).expect("a known kind"), open(path), &mut kept).expect("a recording");

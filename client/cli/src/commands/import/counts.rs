@@ -73,6 +73,9 @@ impl TopicCounts {
             | NotMade::NoSensor(_)
             | NotMade::Nothing(_)
             | NotMade::Thinned
+            | NotMade::OtherPart
+            | NotMade::SameStamp
+            | NotMade::Repeated
             | NotMade::LeftOut(_) => count.skipped += 1,
         }
         count.reason(&why.to_string());

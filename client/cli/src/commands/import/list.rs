@@ -5,7 +5,7 @@
 use tidemap_formats::table::Cell;
 use tidemap_recordings::{
     plan::{FrameChoice, GridUse, TopicPlan, pose_topics},
-    survey::{TakenPoses, TopicSurvey},
+    survey::{TakenPart, TakenPoses, TopicSurvey},
 };
 
 use super::{Planned, counts::TopicCounts};
@@ -106,6 +106,17 @@ pub(super) fn report(planned: &Planned) {
             "several transforms contradict each other about {}: a parent that changes, a fixed one that moves, or two \
              robots in one recording. skip: in a mapping leaves out a topic of transforms",
             conflicts.join(", ")
+        ));
+    }
+    for doubt in surveyed.frames.doubts() {
+        status_line(&format!("nothing is placed by these transforms: {doubt}"));
+    }
+    if let Some(TakenPart { times_back, back_nanos, .. }) = surveyed.part {
+        let times = if times_back == 1 { "once".to_owned() } else { format!("{times_back} times") };
+        status_line(&format!(
+            "the robot's clock goes back {times}, by up to {:.1} s, such as that of a simulation that starts again: the \
+             part with the most messages is taken. Cut the recording there, and import each part by itself",
+            back_nanos as f64 / 1e9
         ));
     }
     if let Some((count, first)) = &surveyed.passed_over {
