@@ -167,7 +167,7 @@ pub enum NotMade {
          its time of recording"
     )]
     SameStamp,
-    /// The same scan or cloud came before.
+    /// An equal scan or cloud of the topic came before.
     #[error("left out, because the same message came before")]
     Repeated,
     /// The value maps to no value of the state.

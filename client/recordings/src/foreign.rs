@@ -1,7 +1,7 @@
 //! Messages in JSON and protobuf, brought into the layout of ROS 1: the rest of the crate reads one form of bytes.
 //!
-//! Invariant: a shape is finite. What it leaves out, such as maps and types that contain themselves, no layout names, so
-//! that a mapping that names it is refused.
+//! Invariant: a shape is finite. It leaves out maps and types that contain themselves; no layout names these, so that a
+//! mapping that names them is refused.
 
 mod json;
 mod protobuf;
@@ -23,9 +23,9 @@ const FIELDS_MAX: usize = 10_000;
 /// Field of the elements of a list that lies directly within a list.
 const ELEMENTS: &str = "elements";
 
-/// What a value is.
+/// The kind of a value.
 #[derive(Clone, Debug, PartialEq)]
-enum Shape {
+enum ValueShape {
     Bool,
     Integer,
     Unsigned,
@@ -34,7 +34,7 @@ enum Shape {
     Bytes,
     Time,
     Duration,
-    List(Box<Shape>),
+    List(Box<ValueShape>),
     Object(Arc<Object>),
 }
 
@@ -42,18 +42,18 @@ enum Shape {
 #[derive(Debug, Default, PartialEq)]
 struct Object {
     type_name: String,
-    fields: Vec<Field>,
+    fields: Vec<ForeignField>,
     constants: Vec<Constant>,
 }
 
 #[derive(Debug, PartialEq)]
-struct Field {
+struct ForeignField {
     /// The name in the messages.
     key: String,
-    shape: Shape,
+    shape: ValueShape,
 }
 
-impl Shape {
+impl ValueShape {
     fn kind(&self) -> (Kind, Count) {
         let primitive = match self {
             Self::Bool => Primitive::Bool,
@@ -74,7 +74,7 @@ impl Shape {
     fn listed(self) -> Self {
         match self {
             shape @ (Self::List(_) | Self::Bytes) => {
-                let fields = vec![Field { key: ELEMENTS.to_owned(), shape }];
+                let fields = vec![ForeignField { key: ELEMENTS.to_owned(), shape }];
                 let object = Object { type_name: ELEMENTS.to_owned(), fields, constants: Vec::new() };
                 Self::List(Box::new(Self::Object(Arc::new(object))))
             }

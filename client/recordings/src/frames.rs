@@ -275,7 +275,7 @@ impl Frames {
             for Track { samples, .. } in tracks.iter_mut().filter(|track| !track.is_sorted) {
                 samples.sort_by_key(|sample| sample.time_nanos);
             }
-            if let Some(why) = doubt::of(child, tracks) {
+            if let Some(why) = doubt::reason(child, tracks) {
                 self.doubts.insert(child.clone(), why);
             }
             tracks.truncate(1);

@@ -221,7 +221,7 @@ impl<'a> LaserScan<'a> {
         self.ranges.len()
     }
 
-    /// What a beam with this range has measured. Drivers mark a beam without a return by infinity, by the largest valid
+    /// The measurement of a beam with this range. Drivers mark a beam without a return by infinity, by the largest valid
     /// range or more, by NaN, by 0 or less, or by a range below the smallest valid one.
     pub fn beam(&self, range_m: f64) -> Beam {
         if range_m.is_nan() || range_m <= 0.0 || range_m < self.range_min_m {
@@ -234,7 +234,7 @@ impl<'a> LaserScan<'a> {
     }
 }
 
-/// What a beam of a range finder has measured.
+/// The measurement of a beam of a range finder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Beam {
     /// Something at its range.

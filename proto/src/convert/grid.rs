@@ -43,7 +43,7 @@ pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
             .half_life
             .map(|half_life| nanos_from_duration("grid.half_life", half_life))
             .transpose()?,
-        evidence: Evidence::Bins,
+        evidence: Evidence::default(),
     };
     spec.check().map_err(|error| {
         let field = match error {

@@ -17,43 +17,12 @@ use crate::{
     day::{Bit, DayTile, GridDay, ScanTime},
     index::{TILE_CELLS, TileId},
     mask::{Mask, TileMasks},
+    ray_odds::RayOdds,
     sensors::{SensorId, Sensors},
 };
 
 /// Length of a bin, nanoseconds of local civil time.
 pub const BIN_NANOS: i64 = 1_800_000_000_000;
-
-/// The log odds that scans add, in units of 2^-20, so that sums are exact.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct RayOdds {
-    hit: i64,
-    miss: i64,
-}
-
-/// Units of [`RayOdds`] for each unit of log odds.
-const UNITS: f64 = 1_048_576.0;
-/// A single reading is at most this sure, whatever its sensor: the upper clamping value of OctoMap.
-const SURE: f64 = 0.97;
-/// P(occupied | hit) and P(occupied | miss) where no sensor is stated: the values of OctoMap.
-const OCCUPIED_IF_HIT: f64 = 0.7;
-const OCCUPIED_IF_MISS: f64 = 0.4;
-
-impl RayOdds {
-    /// The log odds of a sensor with these probabilities to read occupied where a cell is occupied, and where it is
-    /// free. A sensor that is stated to be always right would contradict itself: it counts as OctoMap's.
-    pub(crate) fn new(hit: f64, false_alarm: f64) -> RayOdds {
-        if hit >= 1.0 && false_alarm <= 0.0 {
-            return RayOdds { hit: odds(OCCUPIED_IF_HIT), miss: odds(OCCUPIED_IF_MISS) };
-        }
-        RayOdds { hit: odds(hit / (hit + false_alarm)), miss: odds((1.0 - hit) / (2.0 - hit - false_alarm)) }
-    }
-}
-
-/// The log odds of a probability, within what a reading may state.
-fn odds(probability: f64) -> i64 {
-    let probability = probability.clamp(1.0 - SURE, SURE);
-    (libm::log(probability / (1.0 - probability)) * UNITS).round() as i64
-}
 
 /// The bins of a day.
 struct DayBins {

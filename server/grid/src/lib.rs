@@ -7,6 +7,8 @@
 //! (last values per tile, and the exact scans of each local day), `update/` (score, choose orders, learn, train again)
 //! and `view.rs` (the data that readers see).
 //!
+//! - **Bins.** With [`spec::Evidence::Bins`] the scans of each half hour become one bin before an update learns the day
+//!   (`bins.rs`): the reading of a cell is then the posterior of its rays. Otherwise each reading counts, as published.
 //! - **Cost follows change.** A scan costs its flips. Scans of the same tiles form runs ([`live_tile::ScanRun`]), so
 //!   that unchanged tiles are not touched. In an update, a run of occupied readings adds the difference of two rows of
 //!   running phasor sums (T-RO eq. 11 without a phasor per reading).
@@ -53,6 +55,7 @@ pub mod outcome;
 pub mod pace;
 pub mod paging;
 pub mod predict;
+mod ray_odds;
 pub mod raycast;
 pub mod scan;
 pub mod sensor_sums;

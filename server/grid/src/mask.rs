@@ -101,8 +101,8 @@ impl Mask {
         })
     }
 
-    /// The cells of the tile whose neighbour, up or down along axis 0, 1 or 2, is in the set; `beyond` is the set in the
-    /// neighbouring tile on that side.
+    /// The cells of the tile whose neighbour, up or down along axis 0, 1 or 2, is in the set; `beyond` is the set in
+    /// the neighbouring tile on that side.
     pub(crate) fn beside(self, axis: usize, is_up: bool, beyond: Mask) -> Mask {
         let layers = |layer: fn(u64, u64) -> u64| Mask(std::array::from_fn(|z| layer(self.0[z], beyond.0[z])));
         match (axis, is_up) {
@@ -215,8 +215,8 @@ mod tests {
                 for (tile, own, beyond) in [(here, Mask::of(cell), Mask::EMPTY), (next, Mask::EMPTY, Mask::of(cell))] {
                     let mut at = <[i32; 3]>::from(tile.cell(cell));
                     at[axis] -= if is_up { 1 } else { -1 };
-                    let (of, place) = crate::index::CellIndex::from(at).tile();
-                    let expected = if of == here { Mask::of(place) } else { Mask::EMPTY };
+                    let (tile, place) = crate::index::CellIndex::from(at).tile();
+                    let expected = if tile == here { Mask::of(place) } else { Mask::EMPTY };
                     assert_eq!(own.beside(axis, is_up, beyond), expected, "{axis} {is_up} {cell}");
                 }
             }

@@ -162,7 +162,7 @@ struct Tile {
 
 /// The parts of a ray that ends in a cell.
 #[derive(Clone, Copy, Debug)]
-enum Part {
+enum RayPart {
     Way,
     Grazing,
     Last,
@@ -170,11 +170,11 @@ enum Part {
 
 impl Tile {
     /// The mask of the cells that this part of rays has passed.
-    fn passed(&mut self, part: Part) -> &mut [u64; 8] {
+    fn passed(&mut self, part: RayPart) -> &mut [u64; 8] {
         match part {
-            Part::Way => &mut self.free.0,
-            Part::Grazing => &mut self.grazed.0,
-            Part::Last => &mut self.last.0,
+            RayPart::Way => &mut self.free.0,
+            RayPart::Grazing => &mut self.grazed.0,
+            RayPart::Last => &mut self.last.0,
         }
     }
 }

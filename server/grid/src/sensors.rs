@@ -10,7 +10,7 @@
 
 use tidemap_model::StateSensor;
 
-use crate::{bins::RayOdds, spec::SensorNoise};
+use crate::{ray_odds::RayOdds, spec::SensorNoise};
 
 /// Maximum number of sensors of a grid besides the map's own.
 pub const SENSORS_MAX: usize = u8::MAX as usize;

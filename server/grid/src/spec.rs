@@ -30,18 +30,18 @@ pub struct GridSpec {
     /// A reading this much older than the newest reading of its cell counts half in the nightly model; in nanoseconds,
     /// at least [`HALF_LIFE_MIN_NANOS`], counted in whole local days. `None`: all readings count alike.
     pub half_life_nanos: Option<i64>,
-    /// What counts as one piece of evidence about a cell.
+    /// The piece of evidence from which cells learn.
     pub evidence: Evidence,
 }
 
-/// What counts as one piece of evidence about a cell.
+/// A piece of evidence from which cells learn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Evidence {
-    /// The readings of a bin of half an hour together (see [`crate::bins`]).
+    /// Each reading, as published (T-RO 2017, eq. 10 and 11). Maps that are stored or sent count readings.
     #[default]
-    Bins,
-    /// Each reading, as published (T-RO 2017, eq. 10 and 11).
     Readings,
+    /// The readings of a bin of half an hour together (see [`crate::bins`]).
+    Bins,
 }
 
 /// The time for which exact observations are kept. Models do not need them.

@@ -6,7 +6,7 @@
 //! period can distinguish them (`update/looks.rs`).
 //!
 //! Invariant: each cell's model is equal to the result of `StateModel::update` of tidemap-model for the cell's
-//! readings, to 1e-9, and the errors of its orders to 1e-3.
+//! readings, or bins, to 1e-9, and the errors of its orders to 1e-3.
 
 use std::{collections::HashMap, sync::Arc};
 

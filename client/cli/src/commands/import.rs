@@ -90,8 +90,8 @@ pub(crate) struct ImportArgs {
     /// the beam's own time, if the message gives times
     #[arg(long)]
     at_stamp: bool,
-    /// Takes the poses of a topic in place of transforms, such as /odom: nav_msgs/Odometry, geometry_msgs/PoseStamped or
-    /// PoseWithCovarianceStamped [default frame: that of the messages, else the body of the first sensor]
+    /// Takes the poses of a topic in place of transforms, such as /odom: nav_msgs/Odometry, geometry_msgs/PoseStamped
+    /// or PoseWithCovarianceStamped [default frame: that of the messages, else the body of the first sensor]
     #[arg(long, value_name = "TOPIC[=FRAME]")]
     pose_from: Option<String>,
     /// Between two transforms that differ and are further apart than this, nothing has a place [default: 2s]

@@ -31,7 +31,7 @@ impl BeamCounts {
 }
 
 impl BeamCounts {
-    /// What a user has to know of the beams, in words.
+    /// Sentences for the user about beams that measured nothing, and about wrong times.
     pub fn notices(&self) -> Vec<String> {
         let Self { all, without_return, without_reading, wrong_times } = self;
         let mut notices = Vec::new();

@@ -17,7 +17,7 @@ const STEP_NANOS_MIN: f64 = 1e6;
 const STEPS: usize = 4;
 
 /// A rotation, row by row, each row with its part of the translation.
-type Rows = [[f64; 4]; 3];
+type PoseRows = [[f64; 4]; 3];
 
 /// The poses of a sensor over a short time.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ pub(super) struct Motion {
     first_nanos: f64,
     steps_per_nano: f64,
     /// The poses, as seen from that in the middle, evenly in time.
-    poses: Vec<Rows>,
+    poses: Vec<PoseRows>,
 }
 
 impl Motion {
@@ -51,10 +51,11 @@ impl Motion {
         let pose = pose_of(STEPS / 2, STEPS)?;
         let inverse = pose.inverse();
         let row_of = |step: usize, steps: usize| pose_of(step, steps).map(|pose| rows(&(inverse * pose)));
-        let mut poses = (0..=steps).map(|step| row_of(step, steps)).collect::<Result<Vec<Rows>, _>>()?;
+        let mut poses = (0..=steps).map(|step| row_of(step, steps)).collect::<Result<Vec<PoseRows>, _>>()?;
         loop {
-            let between = (0..steps).map(|step| row_of(2 * step + 1, 2 * steps)).collect::<Result<Vec<Rows>, _>>()?;
-            let off = |((before, after), between): ((&Rows, &Rows), &Rows)| {
+            let between =
+                (0..steps).map(|step| row_of(2 * step + 1, 2 * steps)).collect::<Result<Vec<PoseRows>, _>>()?;
+            let off = |((before, after), between): ((&PoseRows, &PoseRows), &PoseRows)| {
                 distance(&mixed(before, after, 0.5), between, reach_m)
             };
             let off_m = poses.iter().zip(poses.iter().skip(1)).zip(&between).map(off).fold(0.0, f64::max);
@@ -87,12 +88,12 @@ impl Motion {
     }
 }
 
-fn rows(pose: &Isometry3<f64>) -> Rows {
+fn rows(pose: &Isometry3<f64>) -> PoseRows {
     let (turn, shift) = (pose.rotation.to_rotation_matrix(), pose.translation.vector);
     [0, 1, 2].map(|row| [turn[(row, 0)], turn[(row, 1)], turn[(row, 2)], shift[row]])
 }
 
-fn mixed(before: &Rows, after: &Rows, share: f64) -> Rows {
+fn mixed(before: &PoseRows, after: &PoseRows, share: f64) -> PoseRows {
     let mut mixed = *before;
     for (row, after) in mixed.iter_mut().zip(after) {
         for (number, after) in row.iter_mut().zip(after) {
@@ -103,7 +104,7 @@ fn mixed(before: &Rows, after: &Rows, share: f64) -> Rows {
 }
 
 /// How far two poses put a point apart that is as far as this from the sensor, at most, metres.
-fn distance(one: &Rows, other: &Rows, reach_m: f64) -> f64 {
+fn distance(one: &PoseRows, other: &PoseRows, reach_m: f64) -> f64 {
     let (mut turn, mut shift) = (0.0, 0.0);
     for (one, other) in one.iter().zip(other) {
         let [a, b, c, d] = [0, 1, 2, 3].map(|column| (one[column] - other[column]).powi(2));

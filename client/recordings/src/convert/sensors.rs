@@ -16,8 +16,8 @@ use crate::{
 const SCAN_NANOS_MAX: f64 = 1.001e9;
 
 impl Converter {
-    /// The pose of a sensor that has this pose within its frame, as [`Converter::pose`] gives it. Points that a program has put into a frame that does not
-    /// move come from elsewhere.
+    /// The pose of a sensor that has this pose within its frame, as [`Converter::pose`] gives it. Points that a program
+    /// has put into a frame that does not move come from elsewhere.
     fn sensor_pose(&self, frame: &str, own: &Isometry3<f64>, stamp_nanos: i64) -> Result<Isometry3<f64>, NotMade> {
         let has_own = *own != Isometry3::identity();
         if !has_own && self.plan.choice == FrameChoice::Usual && self.plan.frame.as_deref() == Some(frame) {

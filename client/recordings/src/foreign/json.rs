@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::{DEPTH_MAX, FIELDS_MAX, Field, Object, Shape, Writer};
+use super::{DEPTH_MAX, FIELDS_MAX, ForeignField, Object, ValueShape, Writer};
 
 /// Reads a schema in the language of JSON Schema.
 pub(super) fn object(type_name: &str, schema: &str) -> Result<Arc<Object>, String> {
     let root: Value = serde_json::from_str(schema).map_err(|error| format!("its schema is no JSON: {error}"))?;
     let mut reading = Reading { root: &root, fields: 0 };
     match reading.shape(&root, type_name, 0)? {
-        Some(Shape::Object(object)) => Ok(object),
+        Some(ValueShape::Object(object)) => Ok(object),
         _ => Err("its schema describes no object with properties".to_owned()),
     }
 }
@@ -25,7 +25,7 @@ struct Reading<'s> {
 
 impl Reading<'_> {
     /// The shape that a schema describes; absent if it describes none that is read.
-    fn shape(&mut self, schema: &Value, name: &str, depth: usize) -> Result<Option<Shape>, String> {
+    fn shape(&mut self, schema: &Value, name: &str, depth: usize) -> Result<Option<ValueShape>, String> {
         if depth > DEPTH_MAX {
             return Ok(None);
         }
@@ -43,11 +43,11 @@ impl Reading<'_> {
             _ => "",
         };
         Ok(Some(match kind {
-            "boolean" => Shape::Bool,
-            "integer" => Shape::Integer,
-            "number" => Shape::Float,
-            "string" if schema.get("contentEncoding").and_then(Value::as_str) == Some("base64") => Shape::Bytes,
-            "string" => Shape::Text,
+            "boolean" => ValueShape::Bool,
+            "integer" => ValueShape::Integer,
+            "number" => ValueShape::Float,
+            "string" if schema.get("contentEncoding").and_then(Value::as_str) == Some("base64") => ValueShape::Bytes,
+            "string" => ValueShape::Text,
             "array" => {
                 let Some(items) = schema.get("items") else { return Ok(None) };
                 let Some(inner) = self.shape(items, name, depth + 1)? else { return Ok(None) };
@@ -60,21 +60,21 @@ impl Reading<'_> {
                 let options = ["oneOf", "anyOf", "enum"].iter().find_map(|key| schema.get(key)?.as_array());
                 let option = |option: &Value| option.get("const").unwrap_or(option).clone();
                 match options.and_then(|options| options.first()).map(option) {
-                    Some(Value::Number(_)) => Shape::Integer,
-                    Some(Value::String(_)) => Shape::Text,
+                    Some(Value::Number(_)) => ValueShape::Integer,
+                    Some(Value::String(_)) => ValueShape::Text,
                     _ => return Ok(None),
                 }
             }
         }))
     }
 
-    fn object(&mut self, schema: &Value, name: &str, depth: usize) -> Result<Option<Shape>, String> {
+    fn object(&mut self, schema: &Value, name: &str, depth: usize) -> Result<Option<ValueShape>, String> {
         let Some(properties) = schema.get("properties").and_then(Value::as_object) else { return Ok(None) };
         let is_time =
             |nanos: &str| properties.len() == 2 && properties.contains_key("sec") && properties.contains_key(nanos);
         if is_time("nsec") || is_time("nanosec") {
             let is_duration = schema.get("title").and_then(Value::as_str) == Some("duration");
-            return Ok(Some(if is_duration { Shape::Duration } else { Shape::Time }));
+            return Ok(Some(if is_duration { ValueShape::Duration } else { ValueShape::Time }));
         }
         let mut object = Object { type_name: name.to_owned(), ..Object::default() };
         for (key, schema) in properties {
@@ -83,10 +83,10 @@ impl Reading<'_> {
                 return Err(format!("its schema has more than {FIELDS_MAX} fields"));
             }
             if let Some(shape) = self.shape(schema, key, depth + 1)? {
-                object.fields.push(Field { key: key.clone(), shape });
+                object.fields.push(ForeignField { key: key.clone(), shape });
             }
         }
-        Ok(Some(Shape::Object(Arc::new(object))))
+        Ok(Some(ValueShape::Object(Arc::new(object))))
     }
 }
 
@@ -99,51 +99,53 @@ pub(super) fn write(object: &Object, message: &[u8], to: &mut Writer<'_>) -> Res
 }
 
 fn fields(object: &Object, message: &Value, to: &mut Writer<'_>) -> Result<(), String> {
-    for Field { key, shape } in &object.fields {
+    for ForeignField { key, shape } in &object.fields {
         value(shape, message.get(key).unwrap_or(&Value::Null), to).map_err(|error| format!("{key}: {error}"))?;
     }
     Ok(())
 }
 
-fn value(shape: &Shape, found: &Value, to: &mut Writer<'_>) -> Result<(), String> {
+fn value(shape: &ValueShape, found: &Value, to: &mut Writer<'_>) -> Result<(), String> {
     let wrong = |wanted: &str| {
         let text: String = found.to_string().chars().take(80).collect();
         format!("{text} is not {wanted}")
     };
     match (shape, found) {
-        (Shape::Bool, Value::Bool(flag)) => to.0.push(u8::from(*flag)),
-        (Shape::Bool, Value::Null) => to.0.push(0),
-        (Shape::Integer, Value::Null) => to.integer(0),
-        (Shape::Integer, Value::Number(number)) => {
+        (ValueShape::Bool, Value::Bool(flag)) => to.0.push(u8::from(*flag)),
+        (ValueShape::Bool, Value::Null) => to.0.push(0),
+        (ValueShape::Integer, Value::Null) => to.integer(0),
+        (ValueShape::Integer, Value::Number(number)) => {
             let whole = number
                 .as_i64()
                 .or_else(|| number.as_f64().filter(|number| number.fract() == 0.0).map(|number| number as i64));
             to.integer(whole.ok_or_else(|| wrong("a whole number of 64 bits"))?);
         }
         // Numbers of 64 bits are also written as text.
-        (Shape::Integer, Value::String(text)) => to.integer(text.parse().map_err(|_| wrong("a whole number"))?),
-        (Shape::Float, Value::Null) => to.float(f64::NAN),
-        (Shape::Float, Value::Number(number)) => to.float(number.as_f64().ok_or_else(|| wrong("a number"))?),
+        (ValueShape::Integer, Value::String(text)) => to.integer(text.parse().map_err(|_| wrong("a whole number"))?),
+        (ValueShape::Float, Value::Null) => to.float(f64::NAN),
+        (ValueShape::Float, Value::Number(number)) => to.float(number.as_f64().ok_or_else(|| wrong("a number"))?),
         // JSON has no words for these numbers.
-        (Shape::Float, Value::String(text)) => to.float(text.parse().map_err(|_| wrong("a number"))?),
-        (Shape::Text, Value::Null) | (Shape::Bytes, Value::Null) | (Shape::List(_), Value::Null) => to.count(0)?,
-        (Shape::Text, Value::String(text)) => to.bytes(text.as_bytes())?,
-        (Shape::Bytes, Value::String(text)) => to.bytes(&base64(text).ok_or_else(|| wrong("text in base64"))?)?,
-        (Shape::Time, found) => {
+        (ValueShape::Float, Value::String(text)) => to.float(text.parse().map_err(|_| wrong("a number"))?),
+        (ValueShape::Text, Value::Null) | (ValueShape::Bytes, Value::Null) | (ValueShape::List(_), Value::Null) => {
+            to.count(0)?;
+        }
+        (ValueShape::Text, Value::String(text)) => to.bytes(text.as_bytes())?,
+        (ValueShape::Bytes, Value::String(text)) => to.bytes(&base64(text).ok_or_else(|| wrong("text in base64"))?)?,
+        (ValueShape::Time, found) => {
             let [seconds, nanos] = seconds_and_nanos(found);
             to.time(seconds, nanos)?;
         }
-        (Shape::Duration, found) => {
+        (ValueShape::Duration, found) => {
             let [seconds, nanos] = seconds_and_nanos(found);
             to.duration(seconds, nanos)?;
         }
-        (Shape::Object(object), Value::Null | Value::Object(_)) => fields(object, found, to)?,
-        (Shape::List(inner), Value::Array(values)) => {
+        (ValueShape::Object(object), Value::Null | Value::Object(_)) => fields(object, found, to)?,
+        (ValueShape::List(inner), Value::Array(values)) => {
             to.count(values.len())?;
             for found in values {
                 match &**inner {
                     // A list within a list: an object with one field.
-                    Shape::Object(object) if found.is_array() => {
+                    ValueShape::Object(object) if found.is_array() => {
                         if let [only] = object.fields.as_slice() {
                             value(&only.shape, found, to)?;
                         }
@@ -152,12 +154,12 @@ fn value(shape: &Shape, found: &Value, to: &mut Writer<'_>) -> Result<(), String
                 }
             }
         }
-        (Shape::Bool, _) => return Err(wrong("true or false")),
-        (Shape::Integer | Shape::Unsigned, _) => return Err(wrong("a whole number")),
-        (Shape::Float, _) => return Err(wrong("a number")),
-        (Shape::Text | Shape::Bytes, _) => return Err(wrong("text")),
-        (Shape::List(_), _) => return Err(wrong("a list")),
-        (Shape::Object(_), _) => return Err(wrong("an object")),
+        (ValueShape::Bool, _) => return Err(wrong("true or false")),
+        (ValueShape::Integer | ValueShape::Unsigned, _) => return Err(wrong("a whole number")),
+        (ValueShape::Float, _) => return Err(wrong("a number")),
+        (ValueShape::Text | ValueShape::Bytes, _) => return Err(wrong("text")),
+        (ValueShape::List(_), _) => return Err(wrong("a list")),
+        (ValueShape::Object(_), _) => return Err(wrong("an object")),
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use prost_reflect::{DescriptorPool, DynamicMessage, Kind, MessageDescriptor, Value};
 
-use super::{DEPTH_MAX, FIELDS_MAX, Field, Object, Shape, Writer};
+use super::{DEPTH_MAX, FIELDS_MAX, ForeignField, Object, ValueShape, Writer};
 use crate::definition::Constant;
 
 /// Maximum number of bytes of a message. A number of one byte takes 56 once it is read.
@@ -45,23 +45,25 @@ fn object_of(
             return Err(format!("its schema has more than {FIELDS_MAX} fields"));
         }
         let shape = match &kind {
-            Kind::Bool => Shape::Bool,
-            Kind::String => Shape::Text,
-            Kind::Bytes => Shape::Bytes,
-            Kind::Double | Kind::Float => Shape::Float,
-            Kind::Uint32 | Kind::Uint64 | Kind::Fixed32 | Kind::Fixed64 => Shape::Unsigned,
-            Kind::Int32 | Kind::Int64 | Kind::Sint32 | Kind::Sint64 | Kind::Sfixed32 | Kind::Sfixed64 => Shape::Integer,
+            Kind::Bool => ValueShape::Bool,
+            Kind::String => ValueShape::Text,
+            Kind::Bytes => ValueShape::Bytes,
+            Kind::Double | Kind::Float => ValueShape::Float,
+            Kind::Uint32 | Kind::Uint64 | Kind::Fixed32 | Kind::Fixed64 => ValueShape::Unsigned,
+            Kind::Int32 | Kind::Int64 | Kind::Sint32 | Kind::Sint64 | Kind::Sfixed32 | Kind::Sfixed64 => {
+                ValueShape::Integer
+            }
             Kind::Enum(values) => {
                 let constant = |name: &str, number: i32| Constant { name: name.to_owned(), value: number.to_string() };
                 object.constants.extend(values.values().take(100).map(|value| constant(value.name(), value.number())));
-                Shape::Integer
+                ValueShape::Integer
             }
-            Kind::Message(inner) if inner.full_name() == TIMESTAMP => Shape::Time,
-            Kind::Message(inner) if inner.full_name() == DURATION => Shape::Duration,
-            Kind::Message(inner) => Shape::Object(Arc::new(object_of(inner, within, count)?)),
+            Kind::Message(inner) if inner.full_name() == TIMESTAMP => ValueShape::Time,
+            Kind::Message(inner) if inner.full_name() == DURATION => ValueShape::Duration,
+            Kind::Message(inner) => ValueShape::Object(Arc::new(object_of(inner, within, count)?)),
         };
         let shape = if field.is_list() { shape.listed() } else { shape };
-        object.fields.push(Field { key: field.name().to_owned(), shape });
+        object.fields.push(ForeignField { key: field.name().to_owned(), shape });
     }
     within.pop();
     Ok(object)
@@ -84,39 +86,39 @@ pub(super) fn write(
 }
 
 fn fields(object: &Object, message: &DynamicMessage, to: &mut Writer<'_>) -> Result<(), String> {
-    for Field { key, shape } in &object.fields {
+    for ForeignField { key, shape } in &object.fields {
         let found = message.get_field_by_name(key).ok_or_else(|| format!("the message has no field {key}"))?;
         value(shape, &found, to)?;
     }
     Ok(())
 }
 
-fn value(shape: &Shape, found: &Value, to: &mut Writer<'_>) -> Result<(), String> {
+fn value(shape: &ValueShape, found: &Value, to: &mut Writer<'_>) -> Result<(), String> {
     match (shape, found) {
-        (Shape::Bool, Value::Bool(flag)) => to.0.push(u8::from(*flag)),
-        (Shape::Integer, Value::I32(number) | Value::EnumNumber(number)) => to.integer(i64::from(*number)),
-        (Shape::Integer, Value::I64(number)) => to.integer(*number),
-        (Shape::Unsigned, Value::U32(number)) => to.unsigned(u64::from(*number)),
-        (Shape::Unsigned, Value::U64(number)) => to.unsigned(*number),
-        (Shape::Float, Value::F32(number)) => to.float(f64::from(*number)),
-        (Shape::Float, Value::F64(number)) => to.float(*number),
-        (Shape::Text, Value::String(text)) => to.bytes(text.as_bytes())?,
-        (Shape::Bytes, Value::Bytes(bytes)) => to.bytes(bytes)?,
-        (Shape::Time, Value::Message(time)) => {
+        (ValueShape::Bool, Value::Bool(flag)) => to.0.push(u8::from(*flag)),
+        (ValueShape::Integer, Value::I32(number) | Value::EnumNumber(number)) => to.integer(i64::from(*number)),
+        (ValueShape::Integer, Value::I64(number)) => to.integer(*number),
+        (ValueShape::Unsigned, Value::U32(number)) => to.unsigned(u64::from(*number)),
+        (ValueShape::Unsigned, Value::U64(number)) => to.unsigned(*number),
+        (ValueShape::Float, Value::F32(number)) => to.float(f64::from(*number)),
+        (ValueShape::Float, Value::F64(number)) => to.float(*number),
+        (ValueShape::Text, Value::String(text)) => to.bytes(text.as_bytes())?,
+        (ValueShape::Bytes, Value::Bytes(bytes)) => to.bytes(bytes)?,
+        (ValueShape::Time, Value::Message(time)) => {
             let [seconds, nanos] = seconds_and_nanos(time);
             to.time(seconds, nanos)?;
         }
-        (Shape::Duration, Value::Message(time)) => {
+        (ValueShape::Duration, Value::Message(time)) => {
             let [seconds, nanos] = seconds_and_nanos(time);
             to.duration(seconds, nanos)?;
         }
-        (Shape::Object(object), Value::Message(message)) => fields(object, message, to)?,
-        (Shape::List(inner), Value::List(values)) => {
+        (ValueShape::Object(object), Value::Message(message)) => fields(object, message, to)?,
+        (ValueShape::List(inner), Value::List(values)) => {
             to.count(values.len())?;
             for found in values {
                 match &**inner {
                     // Bytes within a list: an object with one field.
-                    Shape::Object(object) if !matches!(found, Value::Message(_)) => {
+                    ValueShape::Object(object) if !matches!(found, Value::Message(_)) => {
                         if let [only] = object.fields.as_slice() {
                             value(&only.shape, found, to)?;
                         }

@@ -1,7 +1,7 @@
 //! Transforms that cannot be those of one robot.
 //!
-//! Invariant: samples come in the order of time. A robot that is carried, or whose position is corrected, gives no doubt:
-//! its transforms jump now and then, not to and fro all the time.
+//! Invariant: samples come in the order of time. A robot that is carried, or whose position is corrected, gives no
+//! doubt: its transforms jump now and then, not to and fro all the time.
 
 use nalgebra::Isometry3;
 
@@ -18,7 +18,7 @@ const FRO_SHARE: f64 = 0.3;
 const SECOND_NANOS: i64 = 1_000_000_000;
 /// Two robots go to and fro in at least one of this many samples.
 const ONE_IN: usize = 10;
-/// Fewer samples say nothing.
+/// Fewer samples are not judged.
 const SAMPLES_MIN: usize = 4;
 /// The number of times at which movements in two parents are compared.
 const COMPARED: usize = 200;
@@ -44,7 +44,7 @@ pub(super) fn is_jump(before: &PoseSample, after: &PoseSample) -> bool {
 }
 
 /// Why the transforms of a frame cannot be those of one robot; the parent with the most samples comes first.
-pub(super) fn of(child: &str, tracks: &[Track]) -> Option<String> {
+pub(super) fn reason(child: &str, tracks: &[Track]) -> Option<String> {
     if let Some(track) = tracks.iter().find(|track| goes_to_and_fro(&track.samples)) {
         return Some(format!(
             "{child:?} jumps to and fro in {:?}, as two robots with the same frames do: import each by itself, or leave \

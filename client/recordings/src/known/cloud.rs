@@ -31,7 +31,7 @@ pub enum PointTimes {
     Known {
         /// Nanoseconds of one unit of the field.
         factor: f64,
-        /// What the field counts from the stamp, nanoseconds; 0 if it counts from the stamp.
+        /// The stamp in the count of the field, nanoseconds; 0 if the field counts from the stamp.
         base: f64,
     },
 }

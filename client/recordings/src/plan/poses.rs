@@ -19,7 +19,7 @@ pub(super) fn topic(surveyed: &Surveyed, source: &PoseSource) -> Result<usize, P
     let name = &source.topic;
     let fault = |problem: String| {
         let others: Vec<&str> =
-            pose_topics(surveyed).map(|topic| topic.name.as_str()).filter(|of| of != name).collect();
+            pose_topics(surveyed).map(|topic| topic.name.as_str()).filter(|other| other != name).collect();
         let candidates = match others.as_slice() {
             [] => "no other topic of the recording has poses".to_owned(),
             others => format!("topics with poses are {}", others.join(", ")),

@@ -1,5 +1,5 @@
-//! The clock of a robot: its stamps go on as the recorder's clock goes on, until it is set back or a simulation is started
-//! again.
+//! The clock of a robot: its stamps go on as the recorder's clock goes on, until it is set back or a simulation is
+//! started again.
 //!
 //! Invariant: one part of a recording is taken, the one with the most messages: stamps of another part may be the same.
 
@@ -34,7 +34,7 @@ impl TakenPart {
 
 /// A part of a recording within which the clock goes on.
 #[derive(Debug)]
-struct Part {
+struct ClockPart {
     from_nanos: i64,
     to_nanos: i64,
     messages: u64,
@@ -48,7 +48,7 @@ pub(super) struct RobotClock {
     latest: HashMap<String, (i64, i64)>,
     from_nanos: i64,
     messages: u64,
-    best: Option<Part>,
+    best: Option<ClockPart>,
     times_back: u64,
     back_nanos: i64,
 }
@@ -90,7 +90,7 @@ impl RobotClock {
     fn end_part(&mut self, to_nanos: i64, frames: Frames) {
         let messages = std::mem::take(&mut self.messages);
         if self.best.as_ref().is_none_or(|best| best.messages < messages) {
-            self.best = Some(Part { from_nanos: self.from_nanos, to_nanos, messages, frames });
+            self.best = Some(ClockPart { from_nanos: self.from_nanos, to_nanos, messages, frames });
         }
     }
 
@@ -100,7 +100,7 @@ impl RobotClock {
             return None;
         }
         self.end_part(i64::MAX, std::mem::take(frames));
-        let Part { from_nanos, to_nanos, frames: taken, .. } = self.best?;
+        let ClockPart { from_nanos, to_nanos, frames: taken, .. } = self.best?;
         *frames = taken;
         Some(TakenPart { times_back: self.times_back, back_nanos: self.back_nanos, from_nanos, to_nanos })
     }

@@ -74,8 +74,8 @@ impl Poses {
     }
 
     /// Puts the poses in place of the transforms of the frame that has them. `sensor`: the frame of a sensor; poses
-    /// that name no frame are those of the body to which it is fixed. `is_taken`: whether poses of a time of recording are
-    /// taken.
+    /// that name no frame are those of the body to which it is fixed. `is_taken`: whether poses of a time of recording
+    /// are taken.
     pub(super) fn put_into(self, frames: &mut Frames, sensor: &str, is_taken: impl Fn(i64) -> bool) -> TakenPoses {
         let Self { source, kept, mut taken, .. } = self;
         let kept: Vec<Transform> =

@@ -123,7 +123,7 @@ fn check(bags: &Path, name: &str, file: &str) -> usize {
                 let count = |key: &str| cells[key].as_u64().unwrap_or_default();
                 (["points", "cells2"].map(count), ["crc2", "crc3"].map(checksum))
             };
-            let other = WITHOUT_MARKERS.iter().find(|(of, at, ..)| (*of, *at) == (name, topic.as_str()));
+            let other = WITHOUT_MARKERS.iter().find(|(bag, from, ..)| (*bag, *from) == (name, topic.as_str()));
             let (counts, checksums) = other.map_or_else(of_reference, |(.., counts, checksums)| (*counts, *checksums));
             let points: Vec<Point3<f64>> = items.iter().flatten().flat_map(|item| ends(&item.made)).collect();
             assert_eq!(points.len() as u64, counts[0], "{name} {topic} in {frame}: points");

@@ -56,14 +56,14 @@ fn becomes(surveyed: &Surveyed, plan: &Plan) -> Vec<(String, String)> {
 }
 
 fn check_places(items: &[(String, Result<Item, NotMade>)]) {
-    let of = |topic: &str| &items.iter().find(|(name, _)| name == topic).expect("the topic").1;
-    let Ok(Item { made: Made::Scan(scan), time_nanos }) = of("/scan") else { panic!("{:?}", of("/scan")) };
+    let made = |topic: &str| &items.iter().find(|(name, _)| name == topic).expect("the topic").1;
+    let Ok(Item { made: Made::Scan(scan), time_nanos }) = made("/scan") else { panic!("{:?}", made("/scan")) };
     assert_eq!(*time_nanos, 1_700_000_000_500_000_000);
     assert_eq!(scan.ranges_m, [1.0, 2.0, f32::INFINITY]);
     let right = scan.pose * (Point3::new(scan.angle_min_rad.cos(), scan.angle_min_rad.sin(), 0.0));
     assert!((right - Point3::new(2.0, -1.0, 0.0)).norm() < 1e-9, "{right}");
     assert!((scan.angle_increment_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
-    let Ok(Item { made: Made::Cloud(cloud), .. }) = of("/points") else { panic!("{:?}", of("/points")) };
+    let Ok(Item { made: Made::Cloud(cloud), .. }) = made("/points") else { panic!("{:?}", made("/points")) };
     let ends: Vec<Point3<f64>> =
         cloud.points_m.iter().map(|point| cloud.pose * Point3::from(point.map(f64::from))).collect();
     assert_eq!(ends, [Point3::new(3.5, 0.0, 1.5), Point3::new(1.5, -1.0, 1.5)]);

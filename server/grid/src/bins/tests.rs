@@ -12,8 +12,10 @@ use crate::{
     tests::{HOUR, SECOND},
 };
 
-/// The scans of a day, each with the masks of the tiles that it saw.
-type Scans = Vec<(ScanTime, BTreeMap<TileId, TileMasks>)>;
+/// A scan with the masks of the tiles that it saw.
+type Scan = (ScanTime, BTreeMap<TileId, TileMasks>);
+/// The scans of a day.
+type Scans = Vec<Scan>;
 
 fn day_of(scans: &Scans) -> GridDay {
     let mut day = GridDay::new(LocalDay(0));
@@ -37,9 +39,9 @@ fn shown(day: &GridDay) -> BTreeMap<(i64, TileId), TileMasks> {
     shown
 }
 
-/// The same from each reading of each cell alone.
+/// The masks of each tile in each bin, from each reading of each cell alone.
 fn counted(scans: &Scans, sensors: &Sensors) -> BTreeMap<(i64, TileId), TileMasks> {
-    let mut bins: BTreeMap<(i64, i32), Vec<&(ScanTime, BTreeMap<TileId, TileMasks>)>> = BTreeMap::new();
+    let mut bins: BTreeMap<(i64, i32), Vec<&Scan>> = BTreeMap::new();
     for scan in scans {
         let key = (scan.0.civil_nanos().div_euclid(BIN_NANOS), scan.0.offset_secs);
         bins.entry(key).or_default().push(scan);
@@ -130,11 +132,4 @@ fn a_wall_that_many_rays_pass_stays_a_wall() {
     // A sensor that is stated to err alike both ways decides by the majority.
     let even = SensorNoise { hit: 0.9, false_alarm: 0.1, prior: 0.5 };
     assert!(is_occupied(2, 1, even) && !is_occupied(1, 2, even) && !is_occupied(1, 1, even));
-}
-
-#[test]
-fn no_reading_is_surer_than_a_limit() {
-    let certain = RayOdds::new(1.0, 0.1);
-    assert_eq!(certain.miss, odds(1.0 - SURE));
-    assert!(certain.hit > 0 && RayOdds::new(0.5, 0.0).hit == odds(SURE));
 }

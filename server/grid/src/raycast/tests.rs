@@ -129,7 +129,7 @@ fn the_end_of_a_ray_frees_no_cell_beside_the_end_of_another() {
     // The cell before the end of a ray is free, but not in a corner of ends.
     assert_eq!(grazed(&[[11.0, 0.0, 0.0]]).0, (0..11).collect::<Vec<_>>());
     assert_eq!(grazed(&[[11.0, 0.0, 0.0], other]).0, (0..10).collect::<Vec<_>>());
-    // The same beside an end below, in another tile.
+    // A ray also grazes an end below it, in another tile.
     let (free, _) = grazed(&[[12.0, 0.0, 0.0], [10.0, 0.0, -1.0]]);
     assert_eq!(free, (0..12).filter(|x| *x != 10).collect::<Vec<_>>());
 }

@@ -8,7 +8,7 @@ use std::{collections::HashMap, hint::select_unpredictable};
 use tidemap_model::special::square;
 
 use super::{
-    CastError, CastLimits, GRAZING_CELLS, Part, Tile,
+    CastError, CastLimits, GRAZING_CELLS, RayPart, Tile,
     clip::{Clipped, clip},
 };
 use crate::{
@@ -157,7 +157,7 @@ impl<'a> Walk<'a> {
         });
         let (mut next, apart) = ([one.next, two.next, three.next], [one.apart, two.apart, three.apart]);
         let last = grazing.min(1);
-        let parts = [(steps - grazing, Part::Way), (grazing - last, Part::Grazing), (last, Part::Last)];
+        let parts = [(steps - grazing, RayPart::Way), (grazing - last, RayPart::Grazing), (last, RayPart::Last)];
         for (count, part) in parts {
             let mut free = self.tiles[tile].passed(part);
             for _ in 0..count {

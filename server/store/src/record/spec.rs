@@ -134,8 +134,7 @@ fn decode_grid(message: layout::GridSpec) -> Result<GridSpec, String> {
         },
         retention: decode_retention(message.retention.unwrap_or_default())?,
         half_life_nanos: Some(message.half_life_nanos).filter(|&nanos| nanos != 0),
-        // Only research counts readings.
-        evidence: Evidence::Bins,
+        evidence: Evidence::default(),
     };
     grid.check().map_err(|error| error.to_string())?;
     Ok(grid)

@@ -1,9 +1,9 @@
-//! What an import takes for granted: one clock that goes on, one scan a stamp.
+//! Tests of the order of messages: one clock that goes on, one scan a stamp.
 
 use super::*;
 
-/// A robot that is at x = 0 at second 0 of a simulation and drives on by a metre a second; it scans at each half second.
-/// The recording begins at another time.
+/// A robot that is at x = 0 at second 0 of a simulation and drives on by a metre a second; it scans at each half
+/// second. The recording begins at another time.
 fn run(recorded: &mut Recorded, began: i64, seconds: i64, along: f64) {
     for second in 0..=seconds {
         let stamp = (7 + second) * SECOND;

@@ -16,8 +16,8 @@ fn pose(type_name: &str, stamp: i64, (parent, child): (&str, &str), x: f64) -> V
     if type_name == POSE { cdr.0 } else { cdr.doubles([0.0; 36 + 6 + 36]).0 }
 }
 
-/// A scan in the second 1.5, of a robot that is at x = 1 at second 1 and at x = 2 at second 2. Its sensor is half a metre
-/// in front of its body, unless the recording has no transforms.
+/// A scan in the second 1.5, of a robot that is at x = 1 at second 1 and at x = 2 at second 2. Its sensor is half a
+/// metre in front of its body, unless the recording has no transforms.
 fn recorded(type_name: &'static str, frames: (&str, &str), has_transforms: bool) -> Recorded {
     let at = |second: i64, x| ("/pose", type_name, second * SECOND, pose(type_name, second * SECOND, frames, x));
     let ranges = [3.0];
