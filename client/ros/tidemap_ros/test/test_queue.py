@@ -58,7 +58,7 @@ def test_the_map_is_created_and_all_records_are_sent_when_the_daemon_comes(bench
     for record in (
         records.Value("door", NOON, 1.0),
         records.Value("door", 5 * SECOND, 0.0),
-        records.Ranges(NOON, IDENTITY, "map", -1.5, 0.01, 0.1, 30.0, ranges),
+        records.Ranges(NOON, IDENTITY, "map", -1.5, 0.01, 0.1, 30.0, 0.0, 0.0, ranges),
         records.Cloud(NOON, IDENTITY, "map", 0.0, 0.0, np.ones((2, 3), np.float32)),
         records.Picture(NOON, (10.0, 0, 0, 0, 0, 0, 1), 0.25, np.array([[0, 1, -1, -1], [0, 0, -1, 0]], np.int8)),
         records.Traversal("hall", "moon", NOON, NOON + SECOND, False, "lift", "a person"),
