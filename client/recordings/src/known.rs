@@ -221,8 +221,8 @@ impl<'a> LaserScan<'a> {
         self.ranges.len()
     }
 
-    /// The measurement of a beam with this range. Drivers mark a beam without a return by infinity, by the largest valid
-    /// range or more, by NaN, by 0 or less, or by a range below the smallest valid one.
+    /// The measurement of a beam with this range. Drivers mark a beam without a return by infinity, by the largest
+    /// valid range or more, by NaN, by 0 or less, or by a range below the smallest valid one.
     pub fn beam(&self, range_m: f64) -> Beam {
         if range_m.is_nan() || range_m <= 0.0 || range_m < self.range_min_m {
             Beam::NoReading
