@@ -230,6 +230,8 @@ fn readings_are_checked() {
         (cloud(|c| c.min_range_m = -1.0), RefusalReason::Scan, "min_range_m -1"),
         (cloud(|c| c.max_range_m = f32::INFINITY), RefusalReason::Scan, "max_range_m inf"),
         (ranges(|s| s.max_range_m = 0.0), RefusalReason::Scan, "max_range_m 0"),
+        (ranges(|s| s.free_range_m = -1.0), RefusalReason::Scan, "free_range_m -1"),
+        (ranges(|s| s.trusted_range_m = f32::NAN), RefusalReason::Scan, "trusted_range_m NaN"),
         (ranges(|s| s.angle_min_rad = f32::NAN), RefusalReason::Scan, "angle_min_rad NaN"),
         (ranges(|s| s.ranges_m = vec![f32::NAN]), RefusalReason::Empty, "none of the 1 ranges"),
         (ranges(|s| s.frame_id = "map ".to_owned()), RefusalReason::Frame, "\"map \""),
