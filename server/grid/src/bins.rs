@@ -7,9 +7,13 @@
 //! update costs bins instead of readings.
 //!
 //! Invariant: a day of bins has one scan for each bin with a scan, with the mean time of the bin's scans, and a cell is
-//! observed in a bin if a scan of the bin observed it. The result does not depend on the order of the scans.
+//! observed in a bin if a scan of the bin observed it, except where another sensor sees a thing there (see
+//! [`crate::standing`]). The result does not depend on the order of the scans.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{BTreeSet, HashMap},
+    sync::Arc,
+};
 
 use rayon::prelude::*;
 
@@ -18,7 +22,9 @@ use crate::{
     index::{TILE_CELLS, TileId},
     mask::{Mask, TileMasks},
     ray_odds::RayOdds,
+    scan::ScanSource,
     sensors::{SensorId, Sensors},
+    standing::Standing,
 };
 
 /// Length of a bin, nanoseconds of local civil time.
@@ -32,6 +38,10 @@ struct DayBins {
     of_scans: Vec<u32>,
     /// The log odds of each scan.
     odds: Vec<RayOdds>,
+    /// The sources of the day's scans, ascending.
+    sources: Vec<ScanSource>,
+    /// The index in `sources` of each scan's source.
+    source_of_scans: Vec<u32>,
 }
 
 impl DayBins {
@@ -48,16 +58,42 @@ impl DayBins {
             .into_iter()
             .map(|(key, (first, count, sum))| {
                 let mean = i64::try_from(i128::from(first) + sum.div_euclid(count)).unwrap_or(first);
-                (key, ScanTime { utc_nanos: mean, offset_secs: key.1, sensor: SensorId::OWN })
+                let (offset_secs, source) = (key.1, ScanSource::Cells);
+                (key, ScanTime { utc_nanos: mean, offset_secs, sensor: SensorId::OWN, source })
             })
             .collect();
         times.sort_unstable_by_key(|(key, time)| (time.utc_nanos, *key));
         let numbers: HashMap<(i64, i32), u32> = (0..).zip(&times).map(|(bin, (key, _))| (*key, bin)).collect();
+        let sources: BTreeSet<ScanSource> = day.scans.iter().map(|scan| scan.source).collect();
+        let sources: Vec<ScanSource> = sources.into_iter().collect();
+        let index = |scan: &ScanTime| sources.binary_search(&scan.source).ok().and_then(|at| u32::try_from(at).ok());
         DayBins {
             of_scans: day.scans.iter().map(|scan| numbers.get(&key(scan)).copied().unwrap_or(0)).collect(),
-            odds: day.scans.iter().map(|scan| sensors.odds(scan.sensor)).collect(),
+            odds: day.scans.iter().map(|scan| sensors.odds(scan.sensor, scan.source)).collect(),
+            source_of_scans: day.scans.iter().map(|scan| index(scan).unwrap_or(0)).collect(),
+            sources,
             times: times.into_iter().map(|(_, time)| time).collect(),
         }
+    }
+}
+
+/// The scans of one source, among the scans that saw some tiles.
+struct SourceScans {
+    source: ScanSource,
+    /// The number of scans of this source, and the sums of their log odds, before each of all scans, and after the
+    /// last.
+    before: Vec<(u32, RayOdds)>,
+    /// Whether the source has a scan in each bin.
+    is_in_bin: Vec<bool>,
+}
+
+impl SourceScans {
+    /// The log odds of a cell that reads alike in the scans `from` until before `to`; `None` without a scan of this
+    /// source.
+    fn odds(&self, from: u32, to: u32, is_occupied: bool) -> Option<i64> {
+        let at = |scan: u32| self.before.get(scan as usize).copied().unwrap_or_default();
+        let ((first, from), (end, to)) = (at(from), at(to));
+        (end > first).then(|| if is_occupied { to.hit - from.hit } else { to.miss - from.miss })
     }
 }
 
@@ -66,53 +102,77 @@ struct SeenScans {
     ranges: Vec<(u32, u32)>,
     /// Consecutive scans of one bin: the number behind the last, and the bin.
     runs: Vec<(u32, u32)>,
-    /// The sums of the log odds of all hits, and of all misses, before each scan, and after the last.
-    before: Vec<RayOdds>,
+    /// The number of scans.
+    count: u32,
+    by_source: Vec<SourceScans>,
     /// The bins, ascending.
     bins: Vec<u32>,
 }
 
 impl SeenScans {
     fn new(ranges: &[(u32, u32)], day: &DayBins) -> SeenScans {
-        let (mut runs, mut before, mut sum): (Vec<(u32, u32)>, _, _) = (Vec::new(), Vec::new(), RayOdds::default());
+        let mut scans =
+            SeenScans { ranges: ranges.to_vec(), runs: Vec::new(), count: 0, by_source: Vec::new(), bins: Vec::new() };
+        let mut sources = vec![false; day.sources.len()];
         for scan in ranges.iter().flat_map(|&(first, end)| first..end) {
-            let (bin, odds) = day.of_scans.get(scan as usize).zip(day.odds.get(scan as usize)).unzip();
-            let (bin, odds) = (bin.copied().unwrap_or(0), odds.copied().unwrap_or_default());
-            before.push(sum);
-            sum = RayOdds { hit: sum.hit + odds.hit, miss: sum.miss + odds.miss };
-            let end = u32::try_from(before.len()).unwrap_or(u32::MAX);
-            match runs.last_mut() {
-                Some((known, last)) if *last == bin => *known = end,
-                _ => runs.push((end, bin)),
+            let bin = day.of_scans.get(scan as usize).copied().unwrap_or(0);
+            let source = day.source_of_scans.get(scan as usize).copied().unwrap_or(0);
+            if let Some(is_among) = sources.get_mut(source as usize) {
+                *is_among = true;
+            }
+            scans.count += 1;
+            match scans.runs.last_mut() {
+                Some((known, last)) if *last == bin => *known = scans.count,
+                _ => scans.runs.push((scans.count, bin)),
             }
         }
-        before.push(sum);
-        let mut bins: Vec<u32> = runs.iter().map(|&(_, bin)| bin).collect();
-        bins.sort_unstable();
-        bins.dedup();
-        SeenScans { ranges: ranges.to_vec(), runs, before, bins }
+        scans.bins = scans.runs.iter().map(|&(_, bin)| bin).collect();
+        scans.bins.sort_unstable();
+        scans.bins.dedup();
+        let of_source = |(index, &source): (u32, &ScanSource)| {
+            let (mut before, mut sum, mut is_in_bin) =
+                (Vec::with_capacity(scans.count as usize + 1), (0, RayOdds::default()), vec![false; scans.bins.len()]);
+            for scan in ranges.iter().flat_map(|&(first, end)| first..end) {
+                before.push(sum);
+                if day.source_of_scans.get(scan as usize) == Some(&index) {
+                    let odds = day.odds.get(scan as usize).copied().unwrap_or_default();
+                    sum = (sum.0 + 1, RayOdds { hit: sum.1.hit + odds.hit, miss: sum.1.miss + odds.miss });
+                    let bin = day.of_scans.get(scan as usize).copied().unwrap_or(0);
+                    if let Some(is_in_bin) = scans.bin(bin).and_then(|bin| is_in_bin.get_mut(bin)) {
+                        *is_in_bin = true;
+                    }
+                }
+            }
+            before.push(sum);
+            SourceScans { source, before, is_in_bin }
+        };
+        scans.by_source =
+            (0..).zip(&day.sources).zip(sources).filter(|(_, among)| *among).map(|(one, _)| of_source(one)).collect();
+        scans
     }
 
-    /// The log odds of a cell that reads alike in scans `from` until before `to`.
-    fn odds(&self, from: u32, to: u32, is_occupied: bool) -> i64 {
-        let at = |scan: u32| self.before.get(scan as usize).copied().unwrap_or_default();
-        let (from, to) = (at(from), at(to));
-        if is_occupied { to.hit - from.hit } else { to.miss - from.miss }
+    /// The index of a bin among those of the scans.
+    fn bin(&self, bin: u32) -> Option<usize> {
+        self.bins.binary_search(&bin).ok()
     }
 
     /// The masks of a tile in each of the bins.
-    fn masks(&self, tile: &DayTile) -> Vec<TileMasks> {
+    fn masks(&self, tile: &DayTile, standing: &mut Standing) -> Vec<TileMasks> {
         let flipped = tile.flips.iter().fold(Mask::EMPTY, |all, flip| all | Mask::of(flip.cell()));
         let steady = tile.first.observed().without(flipped);
-        let mut observed = vec![steady; self.bins.len()];
-        let mut occupied = vec![tile.first.occupied() & steady; self.bins.len()];
+        let steady = (steady, tile.first.occupied() & steady);
+        let bins = self.bins.len();
+        // By source, and then by bin.
+        let in_bins = self.by_source.iter().flat_map(|scans| &scans.is_in_bin);
+        let mut masks: Vec<(Mask, Mask)> =
+            in_bins.map(|is_in_bin| if *is_in_bin { steady } else { (Mask::EMPTY, Mask::EMPTY) }).collect();
         let mut slots = [0_u16; TILE_CELLS];
         let mut cells: Vec<CellOdds> = Vec::new();
         for cell in flipped.cells() {
             slots[usize::from(cell)] = cells.len() as u16;
             let (is_observed, is_occupied) =
                 (tile.first.observed().contains(cell), tile.first.occupied().contains(cell));
-            cells.push(CellOdds { is_observed, is_occupied, since: 0, odds: vec![None; self.bins.len()] });
+            cells.push(CellOdds { is_observed, is_occupied, since: 0, odds: vec![None; masks.len()] });
         }
         let (mut passed, mut ranges) = (0, self.ranges.as_slice());
         for flip in &tile.flips {
@@ -130,10 +190,9 @@ impl SeenScans {
                 Bit::Occupied => cell.is_occupied = !cell.is_occupied,
             }
         }
-        let end = u32::try_from(self.before.len().saturating_sub(1)).unwrap_or(u32::MAX);
         for (place, mut cell) in flipped.cells().zip(cells) {
-            cell.read_until(end, self);
-            for ((odds, observed), occupied) in cell.odds.iter().zip(&mut observed).zip(&mut occupied) {
+            cell.read_until(self.count, self);
+            for (odds, (observed, occupied)) in cell.odds.iter().zip(&mut masks) {
                 let Some(odds) = *odds else { continue };
                 observed.insert(place);
                 if odds > 0 {
@@ -141,7 +200,16 @@ impl SeenScans {
                 }
             }
         }
-        observed.into_iter().zip(occupied).map(|(observed, occupied)| TileMasks::clipped(observed, occupied)).collect()
+        let in_bin = |bin: usize| {
+            let of_source = |(source, scans): (usize, &SourceScans)| {
+                let &(observed, occupied) = masks.get(source * bins + bin)?;
+                scans.is_in_bin.get(bin)?.then(|| (scans.source, TileMasks::clipped(observed, occupied)))
+            };
+            let readings: Vec<(ScanSource, TileMasks)> =
+                self.by_source.iter().enumerate().filter_map(of_source).collect();
+            standing.read(&readings)
+        };
+        (0..bins).map(in_bin).collect()
     }
 }
 
@@ -151,7 +219,7 @@ struct CellOdds {
     is_occupied: bool,
     /// The first scan that is not in `odds` yet.
     since: u32,
-    /// The log odds in each bin; `None` where the cell was not observed.
+    /// The log odds by source, and then by bin; `None` where the cell was not observed.
     odds: Vec<Option<i64>>,
 }
 
@@ -166,17 +234,21 @@ impl CellOdds {
         let mut run = scans.runs.partition_point(|&(until, _)| until <= from);
         while let Some(&(until, bin)) = scans.runs.get(run).filter(|_| from < end) {
             let to = until.min(end);
-            let of_bin = scans.bins.binary_search(&bin).ok().and_then(|at| self.odds.get_mut(at));
-            if let Some(odds) = of_bin {
-                *odds = Some(odds.unwrap_or(0) + scans.odds(from, to, self.is_occupied));
+            let Some(bin) = scans.bin(bin) else { break };
+            for (source, of_source) in scans.by_source.iter().enumerate() {
+                let Some(more) = of_source.odds(from, to, self.is_occupied) else { continue };
+                if let Some(odds) = self.odds.get_mut(source * scans.bins.len() + bin) {
+                    *odds = Some(odds.unwrap_or(0) + more);
+                }
             }
             (from, run) = (to, run + 1);
         }
     }
 }
 
-/// A day of scans as a day of bins.
-pub(crate) fn bins_of(day: &GridDay, sensors: &Sensors) -> GridDay {
+/// A day of scans as a day of bins. `standing`: what the sources read before the day, for each tile of the day; it is
+/// continued.
+pub(crate) fn bins_of(day: &GridDay, sensors: &Sensors, standing: &mut [Standing]) -> GridDay {
     let bins = DayBins::new(day, sensors);
     let presence = day.presence_by_tile();
     let mut by_ranges: HashMap<&[(u32, u32)], Arc<SeenScans>> = HashMap::new();
@@ -196,11 +268,11 @@ pub(crate) fn bins_of(day: &GridDay, sensors: &Sensors) -> GridDay {
     for (&time, seen) in bins.times.iter().zip(seen) {
         binned.push(time, &Arc::from(seen));
     }
-    let tiles: Vec<_> = day.tiles().zip(scans).filter(|(_, scans)| !scans.bins.is_empty()).collect();
+    let tiles: Vec<_> = day.tiles().zip(scans).zip(standing).filter(|((_, scans), _)| !scans.bins.is_empty()).collect();
     let tiles: Vec<_> = tiles
         .into_par_iter()
-        .map(|((id, tile), scans)| {
-            let masks = scans.masks(tile);
+        .map(|(((id, tile), scans), standing)| {
+            let masks = scans.masks(tile, standing);
             let mut shown = scans.bins.iter().zip(&masks);
             let first = shown.next().map(|(_, masks)| *masks).unwrap_or_default();
             let mut of_bins = DayTile { first, flips: Vec::new(), last: first };

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use tidemap_model::LocalDay;
 
-use crate::{index::TileId, mask::TileMasks, sensors::SensorId};
+use crate::{index::TileId, mask::TileMasks, scan::ScanSource, sensors::SensorId};
 
-/// When a scan was made, and with which sensor.
+/// When a scan was made, with which sensor, and how.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScanTime {
     /// Nanoseconds UTC.
@@ -19,6 +19,8 @@ pub struct ScanTime {
     pub offset_secs: i32,
     /// The sensor that made the scan.
     pub sensor: SensorId,
+    /// The source of the scan's readings.
+    pub source: ScanSource,
 }
 
 impl ScanTime {
@@ -353,8 +355,10 @@ mod tests {
         let mut day = GridDay::new(LocalDay(17_000));
         let (far, near) = (TileId(u32::MAX), TileId(3));
         let counted = [far, near].map(|tile| {
-            let (scan, changes) =
-                day.take(ScanTime { utc_nanos: 0, offset_secs: 0, sensor: SensorId::OWN }, &Arc::from([tile]));
+            let (scan, changes) = day.take(
+                ScanTime { utc_nanos: 0, offset_secs: 0, source: ScanSource::Cells, sensor: SensorId::OWN },
+                &Arc::from([tile]),
+            );
             changes + day.show(scan, tile, TileMasks::default())
         });
         assert_eq!(day.tiles().map(|(tile, _)| tile).collect::<Vec<_>>(), [near, far]);

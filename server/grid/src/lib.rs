@@ -62,8 +62,10 @@ pub mod sensor_sums;
 pub mod sensors;
 pub mod snapshot;
 pub mod spec;
+pub mod standing;
 mod tempering;
 pub mod tile;
+pub mod tile_odds;
 pub mod update;
 pub mod view;
 

@@ -14,6 +14,7 @@ use crate::{
     index::{CellBox, TileId, TileIndex},
     live_tile::{LiveTile, ScanRun},
     mask::TileMasks,
+    scan::ScanSource,
     sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
     snapshot::{FutureScan, GridSnapshot},
     spec::GridSpec,
@@ -71,8 +72,10 @@ pub struct LiveGrid {
     previous: Option<Previous>,
     pub(crate) run: ScanRun,
     run_seen: Option<Arc<[TileId]>>,
-    /// The sensor that made all scans of the run.
-    run_sensor: SensorId,
+    /// The sensor and the source of all scans of the run.
+    run_origin: (SensorId, ScanSource),
+    /// The tiles of the last scan whose newest values more scans like it would change; ascending.
+    unsettled: Vec<TileId>,
     /// Scans that no update has learned, by local day.
     pub(crate) days: Vec<GridDay>,
     pub(crate) future: Vec<FutureScan>,
@@ -103,7 +106,8 @@ impl LiveGrid {
             previous: None,
             run: ScanRun::default(),
             run_seen: None,
-            run_sensor: SensorId::OWN,
+            run_origin: (SensorId::OWN, ScanSource::Cells),
+            unsettled: Vec::new(),
             days: Vec::new(),
             future: Vec::new(),
             future_tiles: 0,

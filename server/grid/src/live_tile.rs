@@ -4,6 +4,8 @@
 //! newest observation. These are kept per tile for the cells of the newest scan, and per cell only for the other cells
 //! and for cells that have changed.
 //!
+//! Values follow the newest evidence (see [`crate::tile_odds`]), so that one ray beside a wall is no change.
+//!
 //! Where sensors with different levels observe the same cells, a cell can change its value although its reading is the
 //! same. Rates of change are in units of the map's own sensor (see [`crate::sensors`]).
 //!
@@ -13,10 +15,12 @@
 use tidemap_model::{Persistence, PersistenceParts};
 
 use crate::{
+    bins::BIN_NANOS,
     day::ScanTime,
     index::TileIndex,
     mask::{Mask, TileMasks},
     sensors::{SensorId, Sensors},
+    tile_odds::{OddsSteps, TileOdds},
 };
 
 /// A cell that the newest scan did not observe.
@@ -59,8 +63,18 @@ pub struct LiveTile {
     /// For each cell that has changed: the sum, over its changes of value, of the size of the change in units of the
     /// map's own sensor, divided by the seconds between the two readings.
     pub change_rates: Vec<(u16, f64)>,
+    /// The newest evidence about the cells; empty where readings count as they are.
+    pub odds: TileOdds,
     /// If the tile is part of the map's run: the count of the run up to which `scans` and `newest_nanos` are current.
     pub(crate) joined: Option<u64>,
+}
+
+/// How the readings of a scan count.
+#[derive(Clone, Copy)]
+pub(crate) struct ReadingRule<'a> {
+    pub(crate) sensors: &'a Sensors,
+    /// What they add to the newest evidence; `None` where readings count as they are.
+    pub(crate) steps: Option<OddsSteps>,
 }
 
 /// Consecutive scans, each newer than the scan before, that saw the same tiles with the same sensor. They do not touch
@@ -69,6 +83,8 @@ pub struct LiveTile {
 pub struct ScanRun {
     pub(crate) count: u64,
     pub(crate) newest_nanos: i64,
+    /// What the readings of its scans add to the newest evidence; `None` where readings count as they are.
+    pub(crate) steps: Option<OddsSteps>,
 }
 
 impl LiveTile {
@@ -86,6 +102,7 @@ impl LiveTile {
             away: Vec::new(),
             offsets: Vec::new(),
             change_rates: Vec::new(),
+            odds: TileOdds::default(),
             joined: None,
         }
     }
@@ -93,9 +110,14 @@ impl LiveTile {
     /// Applies the scans of the run so far.
     pub(crate) fn settle(&mut self, run: ScanRun) {
         if let Some(joined) = self.joined.as_mut().filter(|joined| **joined < run.count) {
-            self.scans += run.count - *joined;
+            let more = run.count - *joined;
+            self.scans += more;
             self.newest_nanos = run.newest_nanos;
             *joined = run.count;
+            if let Some(steps) = run.steps {
+                // The masks that the evidence shows do not change: the tile is settled.
+                self.odds.read(steps, self.arrival, more);
+            }
         }
     }
 
@@ -112,8 +134,18 @@ impl LiveTile {
         self.scans == 0 || utc_nanos > self.newest_nanos
     }
 
-    /// Applies a scan that is newer than all scans before; the tile is settled.
-    pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
+    /// Applies a scan that is newer than all scans before. Returns whether more scans like it would change nothing.
+    pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, readings: ReadingRule<'_>) -> bool {
+        let ReadingRule { sensors, steps } = readings;
+        let (masks, is_settled) = match steps {
+            None => (masks, true),
+            Some(steps) => {
+                if time.utc_nanos.saturating_sub(self.newest_nanos) > BIN_NANOS {
+                    self.odds.age();
+                }
+                self.odds.read(steps, masks, 1)
+            }
+        };
         let (observed, occupied) = (masks.observed(), masks.occupied());
         // With another sensor, the value of every cell may change.
         let same = self.current & observed;
@@ -143,6 +175,7 @@ impl LiveTile {
         self.occupied = self.occupied.without(observed) | occupied;
         self.newest_nanos = time.utc_nanos;
         self.sensor = time.sensor;
+        is_settled
     }
 
     /// The change in the value of a known cell by a reading, in units of the map's own sensor.
@@ -152,8 +185,10 @@ impl LiveTile {
     }
 
     /// Applies a scan that is not newer than all scans before: it counts for cells whose own observations are older.
-    pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
-        let ScanTime { utc_nanos, sensor, .. } = time;
+    pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, readings: ReadingRule<'_>) {
+        let ScanTime { utc_nanos, sensor, source, .. } = time;
+        let sensors = readings.sensors;
+        let masks = readings.steps.map_or(masks, |_| self.odds.beside(source, masks));
         let mut rates = Vec::new();
         for cell in masks.observed().without(self.current).cells() {
             let is_occupied = masks.occupied().contains(cell);
@@ -284,7 +319,10 @@ impl LiveTile {
 
     /// Memory in bytes, about.
     pub fn bytes(&self) -> usize {
-        size_of::<Self>() + self.away.len() * 24 + (self.offsets.len() + self.change_rates.len()) * 16
+        size_of::<Self>()
+            + self.away.len() * 24
+            + (self.offsets.len() + self.change_rates.len()) * 16
+            + self.odds.bytes()
     }
 }
 

@@ -28,7 +28,7 @@ use crate::{
     index::{TileId, TileIndex},
     live::LiveGrid,
     mask::{Mask, TileMasks},
-    scan::{CellRef, LoggedScan},
+    scan::{CellRef, LoggedScan, ScanSource},
 };
 
 #[cfg(test)]
@@ -42,6 +42,8 @@ pub type SlotCell = u32;
 pub struct StreamScan {
     /// When it was made, nanoseconds UTC, at least 0.
     pub utc_nanos: i64,
+    /// The source of its readings.
+    pub source: ScanSource,
     /// Slots of the tiles that were seen, ascending, without duplicates; shared by scans that saw the same.
     pub seen: Arc<[u32]>,
     /// Cells whose observed bit differs from the last time the stream showed the tile; ascending.
@@ -246,6 +248,7 @@ impl LogHead {
         let scan = LoggedScan {
             utc_nanos: scan.utc_nanos,
             offset_secs,
+            source: scan.source,
             seen: (!is_seen_before).then_some(seen),
             observed_flips: flips.observed,
             occupied_flips: flips.occupied,
@@ -367,6 +370,7 @@ mod limits {
         for places in [[3, 600], [4, 601]] {
             let sent = StreamScan {
                 utc_nanos: 1,
+                source: ScanSource::Cells,
                 seen: Arc::from([0, 1]),
                 observed_flips: places.to_vec(),
                 occupied_flips: places.to_vec(),

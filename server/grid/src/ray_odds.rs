@@ -3,6 +3,8 @@
 //! Invariant: log odds are whole numbers, so that their sums are exact in any order, and no reading is surer than
 //! OctoMap's upper clamping value.
 
+use crate::scan::ScanSource;
+
 /// The log odds that scans add, in units of 2^-20, so that sums are exact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct RayOdds {
@@ -13,21 +15,41 @@ pub(crate) struct RayOdds {
 }
 
 /// Units of [`RayOdds`] for each unit of log odds.
-const UNITS: f64 = 1_048_576.0;
+pub(crate) const UNITS: f64 = 1_048_576.0;
 /// A single reading is at most this sure, whatever its sensor: the upper clamping value of OctoMap.
 const SURE: f64 = 0.97;
 /// P(occupied | hit) and P(occupied | miss) where no sensor is stated: the values of OctoMap.
 const OCCUPIED_IF_HIT: f64 = 0.7;
 const OCCUPIED_IF_MISS: f64 = 0.4;
 
-impl RayOdds {
+/// The log odds that scans of one sensor add, by their source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SourceOdds {
+    rays: RayOdds,
+    cells: RayOdds,
+}
+
+impl SourceOdds {
     /// The log odds of a sensor with these probabilities to read occupied where a cell is occupied, and where it is
-    /// free. A sensor that is stated to be always right would contradict itself: it counts as OctoMap's.
-    pub(crate) fn new(hit: f64, false_alarm: f64) -> RayOdds {
+    /// free. A sensor that is stated to be always right would contradict itself: its rays count as OctoMap's, because
+    /// they pass cells beside their ends, and the cells that it states count alike, free or occupied.
+    pub(crate) fn new(hit: f64, false_alarm: f64) -> SourceOdds {
         if hit >= 1.0 && false_alarm <= 0.0 {
-            return RayOdds { hit: odds(OCCUPIED_IF_HIT), miss: odds(OCCUPIED_IF_MISS) };
+            let hit = odds(OCCUPIED_IF_HIT);
+            let rays = RayOdds { hit, miss: odds(OCCUPIED_IF_MISS) };
+            return SourceOdds { rays, cells: RayOdds { hit, miss: -hit } };
         }
-        RayOdds { hit: odds(hit / (hit + false_alarm)), miss: odds((1.0 - hit) / (2.0 - hit - false_alarm)) }
+        let stated =
+            RayOdds { hit: odds(hit / (hit + false_alarm)), miss: odds((1.0 - hit) / (2.0 - hit - false_alarm)) };
+        SourceOdds { rays: stated, cells: stated }
+    }
+
+    /// The log odds of a scan of this source.
+    pub(crate) fn by_source(&self, source: ScanSource) -> RayOdds {
+        match source {
+            ScanSource::Cells => self.cells,
+            ScanSource::Rays { .. } => self.rays,
+        }
     }
 }
 
@@ -43,8 +65,8 @@ mod tests {
 
     #[test]
     fn no_reading_is_surer_than_a_limit() {
-        let certain = RayOdds::new(1.0, 0.1);
+        let certain = SourceOdds::new(1.0, 0.1).rays;
         assert_eq!(certain.miss, odds(1.0 - SURE));
-        assert!(certain.hit > 0 && RayOdds::new(0.5, 0.0).hit == odds(SURE));
+        assert!(certain.hit > 0 && SourceOdds::new(0.5, 0.0).cells.hit == odds(SURE));
     }
 }

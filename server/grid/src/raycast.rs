@@ -15,6 +15,7 @@ use nalgebra::{Isometry3, Vector3};
 use crate::{
     index::TileIndex,
     mask::{Mask, TileMasks},
+    scan::{HEIGHT_BAND_M, ScanSource},
     spec::GridSpec,
 };
 
@@ -56,6 +57,16 @@ pub struct Readings {
     pub max_range_m: Option<f32>,
     /// The rays.
     pub rays: Rays,
+}
+
+impl Readings {
+    /// The source of the readings for a grid.
+    #[must_use]
+    pub fn source(&self, spec: &GridSpec) -> ScanSource {
+        let above_m = if spec.is_flat { self.pose.translation.z - spec.origin_m[2] } else { 0.0 };
+        // Heights beyond the range count as the last band.
+        ScanSource::Rays { height: (above_m / HEIGHT_BAND_M).round() as i8 }
+    }
 }
 
 /// The length, in cells, of the end of a ray that frees no cell beside the ends of other rays.

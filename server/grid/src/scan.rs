@@ -34,6 +34,23 @@ impl CellRef {
     }
 }
 
+/// The source of a scan's readings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum ScanSource {
+    /// The scan states its cells as free or occupied.
+    #[default]
+    Cells,
+    /// Rays of a range sensor; most rays that pass an occupied cell in part read it as free.
+    Rays {
+        /// The height of the sensor in a flat grid, in units of [`HEIGHT_BAND_M`], rounded; 0 in other grids.
+        height: i8,
+    },
+}
+
+/// Width of a band of heights, metres. Sensors of one band contradict each other in a flat grid; others do not, because
+/// they see other things.
+pub const HEIGHT_BAND_M: f64 = 0.25;
+
 /// One scan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoggedScan {
@@ -41,6 +58,8 @@ pub struct LoggedScan {
     pub utc_nanos: i64,
     /// Seconds to add to UTC for local civil time.
     pub offset_secs: i32,
+    /// The source of its readings.
+    pub source: ScanSource,
     /// The tiles that were seen, ascending, without duplicates; `None`: equal to the tiles of the previous scan in the
     /// log.
     pub seen: Option<Arc<[TileId]>>,

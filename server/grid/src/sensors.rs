@@ -10,7 +10,11 @@
 
 use tidemap_model::StateSensor;
 
-use crate::{ray_odds::RayOdds, spec::SensorNoise};
+use crate::{
+    ray_odds::{RayOdds, SourceOdds},
+    scan::ScanSource,
+    spec::SensorNoise,
+};
 
 /// Maximum number of sensors of a grid besides the map's own.
 pub const SENSORS_MAX: usize = u8::MAX as usize;
@@ -102,7 +106,7 @@ impl std::ops::MulAssign<f64> for Weights {
 struct Sensor {
     levels: (f64, f64),
     weights: Weights,
-    odds: RayOdds,
+    odds: SourceOdds,
 }
 
 /// The sensors of a grid.
@@ -119,7 +123,7 @@ impl Sensors {
         let own = Sensor {
             levels: noise.levels(),
             weights: Weights::own(1),
-            odds: RayOdds::new(noise.hit, noise.false_alarm),
+            odds: SourceOdds::new(noise.hit, noise.false_alarm),
         };
         Sensors { noise, own, others: Vec::new() }
     }
@@ -150,7 +154,7 @@ impl Sensors {
             return Err(InvalidSensor::Own { free: own_free, occupied: own_occupied });
         }
         let weights = Weights { alpha: (free - own_free) / unit, beta: (occupied - free) / unit };
-        Ok(Sensor { levels: (free, occupied), weights, odds: RayOdds::new(hit, false_alarm) })
+        Ok(Sensor { levels: (free, occupied), weights, odds: SourceOdds::new(hit, false_alarm) })
     }
 
     /// The number of a sensor that some producer has; `None` is the map's own.
@@ -208,8 +212,8 @@ impl Sensors {
     }
 
     /// The log odds that a scan of a sensor adds to the evidence of a bin.
-    pub(crate) fn odds(&self, id: SensorId) -> RayOdds {
-        self.get(id).odds
+    pub(crate) fn odds(&self, id: SensorId, source: ScanSource) -> RayOdds {
+        self.get(id).odds.by_source(source)
     }
 
     /// A value in [0, 1] from units of the map's own sensor.

@@ -37,11 +37,11 @@ pub struct GridSpec {
 /// A piece of evidence from which cells learn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Evidence {
-    /// Each reading, as published (T-RO 2017, eq. 10 and 11). Maps that are stored or sent count readings.
+    /// The readings of a bin of half an hour together (see [`crate::bins`]), as in all maps that are stored or sent.
     #[default]
-    Readings,
-    /// The readings of a bin of half an hour together (see [`crate::bins`]).
     Bins,
+    /// Each reading, as published (T-RO 2017, eq. 10 and 11), for research.
+    Readings,
 }
 
 /// The time for which exact observations are kept. Models do not need them.

@@ -6,13 +6,19 @@ use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_model::{OrderCriterion, Periodicities};
 
-use crate::{live::LiveGrid, scan::Scans, snapshot::GridSnapshot, spec::GridSpec, update::rules::UpdateLimits};
+use crate::{
+    live::LiveGrid,
+    scan::Scans,
+    snapshot::GridSnapshot,
+    spec::{Evidence, GridSpec},
+    update::rules::UpdateLimits,
+};
 
 pub(crate) const SECOND: i64 = 1_000_000_000;
 pub(crate) const HOUR: i64 = 3600 * SECOND;
 
 pub(crate) fn empty() -> LiveGrid {
-    LiveGrid::new(Arc::new(GridSpec::new(0.1)))
+    LiveGrid::new(Arc::new(GridSpec { evidence: Evidence::Readings, ..GridSpec::new(0.1) }))
 }
 
 /// Applies scans of the grid's own sensor. None of them has to wait.

@@ -20,6 +20,7 @@ use crate::{
     observed_times::ObservedTimes,
     sensor_sums::{GroupSums, SensorSums, SensorWeights},
     sensors::{SensorId, Sensors, Weights},
+    standing::Standing,
 };
 
 /// Cells of a tile that have been observed at the same times so far.
@@ -171,6 +172,8 @@ pub struct TileSums {
     pub times: Vec<Arc<ObservedTimes>>,
     /// Support and change alarm of each changed cell.
     pub watches: Vec<OrderWatch>,
+    /// The cells that each source of scans last read as occupied.
+    pub standing: Standing,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,
 }
@@ -241,7 +244,8 @@ impl TileSums {
         let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));
         let times = self.times.len() * (size_of::<ObservedTimes>() + 3 * size_of::<usize>());
         let watches = size_of_val(self.watches.as_slice());
-        size_of::<Self>() + pointers + cells + self.runs.bytes() + sensors + times + watches
+        let standing = self.standing.bytes();
+        size_of::<Self>() + pointers + cells + self.runs.bytes() + sensors + times + watches + standing
     }
 }
 

@@ -8,7 +8,10 @@
 //! Invariant: each cell's model is equal to the result of `StateModel::update` of tidemap-model for the cell's
 //! readings, or bins, to 1e-9, and the errors of its orders to 1e-3.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{HashMap, hash_map::Entry},
+    sync::Arc,
+};
 
 use rayon::prelude::*;
 use tidemap_model::ORDER_MAX;
@@ -22,6 +25,7 @@ use crate::{
     outcome::{CellsByOrder, GridOutcome, TileOutcome},
     pace::Pace,
     spec::Evidence,
+    standing::Standing,
     tile::{ModelSlot, SumsSlot, TileData, TileModel, TileSums, TileUnavailable},
 };
 
@@ -107,10 +111,10 @@ impl GridWork {
         let meter = ProgressMeter::new(pace, self.busy_tiles(), &self.days);
         for day in &self.days {
             outcome.scans += day.scans.len() as u64;
-            let binned = (self.rules.evidence == Evidence::Bins).then(|| bins_of(day, &self.rules.sensors));
+            meter.add(tiles.take(day, &mut outcome.cells_by_order_before)?);
+            let binned = (self.rules.evidence == Evidence::Bins).then(|| tiles.bins(day));
             let day = binned.as_ref().unwrap_or(day);
-            let (batches, skipped) = tiles.batches(day, &mut outcome.cells_by_order_before)?;
-            meter.add(skipped);
+            let batches = tiles.batches(day);
             let done: Vec<_> = batches.into_par_iter().map(|batch| batch.run(&self.rules, day, &meter)).collect();
             tiles.busy.extend(done.into_iter().flatten().map(|tile| (tile.id, tile)));
         }
@@ -142,28 +146,50 @@ struct Tiles<'a> {
 }
 
 impl Tiles<'_> {
-    /// Groups the tiles of a day that were seen by the same scans. Also returns the number of tiles without work. Adds
-    /// to `orders` the orders of cells of tiles that no earlier day of the update contained.
-    fn batches(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<(Vec<Batch>, usize), TileUnavailable> {
-        let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
-        let mut batches: Vec<Batch> = Vec::new();
-        let (mut full, mut skipped) = (Vec::new(), 0);
+    /// Takes the tiles of a day to change them. Returns the number of tiles without work. Adds to `orders` the orders of
+    /// cells of tiles that no earlier day of the update contained.
+    fn take(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<usize, TileUnavailable> {
+        let mut skipped = 0;
         for ((id, _), ranges) in day.tiles().zip(day.presence_by_tile()) {
             if ranges.is_empty() {
                 skipped += 1;
                 continue;
             }
+            let Entry::Vacant(place) = self.busy.entry(id) else { continue };
             let index = id.0 as usize;
-            let busy = match self.busy.remove(&id) {
-                Some(busy) => busy,
-                None => {
-                    let model = self.models.get(index).map_or_else(|| Ok(Arc::default()), ModelSlot::get)?;
-                    count_orders(&model, orders);
-                    let sums = self.sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?;
-                    let data = TileData { model: Arc::unwrap_or_clone(model), sums };
-                    BusyTile { id, data, outcome: TileOutcome::default() }
-                }
-            };
+            let model = self.models.get(index).map_or_else(|| Ok(Arc::default()), ModelSlot::get)?;
+            count_orders(&model, orders);
+            let sums = self.sums.get_mut(index).map_or_else(|| Ok(TileSums::default()), SumsSlot::take)?;
+            let data = TileData { model: Arc::unwrap_or_clone(model), sums };
+            place.insert(BusyTile { id, data, outcome: TileOutcome::default() });
+        }
+        Ok(skipped)
+    }
+
+    /// The bins of a day whose tiles are taken.
+    fn bins(&mut self, day: &GridDay) -> GridDay {
+        let busy = &mut self.busy;
+        let mut take = |(id, _)| busy.get_mut(&id).map(|tile| std::mem::take(&mut tile.data.sums.standing));
+        let mut standing: Vec<Standing> = day.tiles().map(|tile| take(tile).unwrap_or_default()).collect();
+        let binned = bins_of(day, &self.rules.sensors, &mut standing);
+        for ((id, _), standing) in day.tiles().zip(standing) {
+            if let Some(tile) = self.busy.get_mut(&id) {
+                tile.data.sums.standing = standing;
+            }
+        }
+        binned
+    }
+
+    /// Groups the tiles of a day that were seen by the same scans; the tiles are taken.
+    fn batches(&mut self, day: &GridDay) -> Vec<Batch> {
+        let mut by_ranges: HashMap<Vec<(u32, u32)>, usize> = HashMap::new();
+        let mut batches: Vec<Batch> = Vec::new();
+        let mut full = Vec::new();
+        for ((id, _), ranges) in day.tiles().zip(day.presence_by_tile()) {
+            if ranges.is_empty() {
+                continue;
+            }
+            let Some(busy) = self.busy.remove(&id) else { continue };
             let at = match by_ranges.get(&ranges) {
                 Some(&at) => at,
                 None => {
@@ -179,7 +205,7 @@ impl Tiles<'_> {
             batches[at].push(busy);
         }
         full.append(&mut batches);
-        Ok((full, skipped))
+        full
     }
 }
 

@@ -205,6 +205,12 @@ pub struct Scans {
     /// The cells that the scans are pictures of; absent if no scan states them.
     #[prost(message, optional, tag = "23")]
     pub shown: Option<super::map::CellBox>,
+    /// Lengths of the runs of scans of one source; empty if all scans state cells.
+    #[prost(uint32, repeated, tag = "24")]
+    pub source_counts: Vec<u32>,
+    /// Source of each run: 0 for scans that state cells, 129 plus the height for rays.
+    #[prost(sint32, repeated, tag = "25")]
+    pub sources: Vec<i32>,
 }
 
 /// Producers that will not return give up their places.

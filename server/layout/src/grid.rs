@@ -93,6 +93,20 @@ pub struct Tile {
     /// map for all cells.
     #[prost(bytes = "vec", tag = "16")]
     pub away_sensors: Vec<u8>,
+    /// The newest evidence for each source of scans, the sources ascending.
+    #[prost(message, repeated, tag = "17")]
+    pub odds: Vec<SourceOdds>,
+}
+
+/// The newest evidence of a source about the cells of a tile.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SourceOdds {
+    /// The source: 0 for scans that state cells, 129 plus the height for rays.
+    #[prost(sint32, tag = "1")]
+    pub source: i32,
+    /// The log odds of cells for which they are not 0, in steps of 1/32: a list of cells, each with a signed byte.
+    #[prost(bytes = "vec", tag = "2")]
+    pub cells: Vec<u8>,
 }
 
 /// The learned model of a tile.
@@ -189,6 +203,19 @@ pub struct Sightings {
     /// Support and change alarm of each changed cell, messages with the fields of `OrderWatchParts` of `tidemap-model`.
     #[prost(bytes = "vec", repeated, tag = "3")]
     pub watches: Vec<Vec<u8>>,
+    /// The cells that were last occupied for each source of scans, the sources ascending.
+    #[prost(message, repeated, tag = "4")]
+    pub standing: Vec<Standing>,
+}
+
+/// The cells of a tile that were last occupied for a source of scans.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Standing {
+    /// The source: 0 for scans that state cells, 129 plus the height for rays.
+    #[prost(sint32, tag = "1")]
+    pub source: i32,
+    #[prost(bytes = "vec", tag = "2")]
+    pub cells: Vec<u8>,
 }
 
 /// The times between the observations of a group.
@@ -276,6 +303,12 @@ pub struct Day {
     /// Sensor of each run.
     #[prost(uint32, repeated, tag = "12")]
     pub sensors: Vec<u32>,
+    /// Lengths of the runs of scans of one source; empty if all scans state cells.
+    #[prost(uint32, repeated, tag = "13")]
+    pub source_counts: Vec<u32>,
+    /// Source of each run: 0 for scans that state cells, 129 plus the height for rays.
+    #[prost(sint32, repeated, tag = "14")]
+    pub sources: Vec<i32>,
 }
 
 /// One tile on one day.
@@ -342,4 +375,7 @@ pub struct AheadScan {
     pub masks: Vec<u8>,
     #[prost(uint32, tag = "5")]
     pub sensor: u32,
+    /// The source: 0 for a scan that states cells, 129 plus the height for rays.
+    #[prost(sint32, tag = "6")]
+    pub source: i32,
 }

@@ -8,7 +8,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{
     index::{TileId, TileIndex},
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     spec::{GridSpec, Retention},
 };
 use tidemap_map::{
@@ -59,6 +59,7 @@ fn events(random: &mut SmallRng, flips_per_scan: usize) -> Vec<Event> {
             scans.push(LoggedScan {
                 utc_nanos: START_NANOS + number as i64 * 5_000_000_000 + jitter,
                 offset_secs: 0,
+                source: ScanSource::Cells,
                 seen: is_first.then(|| (0..TILES).map(TileId).collect()),
                 observed_flips: if is_first { all() } else { Vec::new() },
                 occupied_flips: if is_first { Vec::new() } else { flips },

@@ -20,6 +20,7 @@ mod runs;
 pub(crate) mod scans;
 mod sensors;
 pub(crate) mod snapshot;
+mod sources;
 pub(crate) mod spec;
 mod surprises;
 pub(crate) mod tables;

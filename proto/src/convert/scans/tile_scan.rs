@@ -7,6 +7,7 @@
 use tidemap_grid::{
     log_head::{SlotCell, StreamScan},
     mask::{Mask, TileMasks},
+    scan::ScanSource,
 };
 
 use super::{
@@ -165,7 +166,8 @@ impl TileScans {
         }
         shown.take(&self.changes, sees_others.then_some(&mut self.runs));
         let seen = shown.seen.clone();
-        Ok(StreamScan { utc_nanos, seen, observed_flips: to_observed, occupied_flips: to_occupied })
+        let source = ScanSource::Cells;
+        Ok(StreamScan { utc_nanos, source, seen, observed_flips: to_observed, occupied_flips: to_occupied })
     }
 }
 

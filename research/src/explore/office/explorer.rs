@@ -14,7 +14,7 @@ use tidemap_grid::{
     index::{CellIndex, TILE_CELLS, TileIndex},
     log_head::{LogHead, StreamScan, StreamTiles},
     mask::{Mask, TileMasks},
-    scan::Scans,
+    scan::{ScanSource, Scans},
 };
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause},
@@ -299,7 +299,7 @@ impl Explorer {
             observed_flips.extend((shown.observed() ^ masks.observed()).cells().map(at));
             occupied_flips.extend((shown.occupied() ^ masks.occupied()).cells().map(at));
         }
-        let scan = StreamScan { utc_nanos, seen, observed_flips, occupied_flips };
+        let scan = StreamScan { utc_nanos, source: ScanSource::Cells, seen, observed_flips, occupied_flips };
         let grid = self.map.grid().ok_or_else(|| OfficeError::setting("the map has no grid"))?;
         let taken = self.front.take(grid, 1, &mut self.source, &scan, 0, TILES_MAX);
         let taken = taken.map_err(|_| OfficeError::setting("the office has too many tiles"))?;

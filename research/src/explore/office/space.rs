@@ -6,7 +6,7 @@ use std::{f64::consts::TAU, sync::Arc};
 
 use tidemap_grid::{
     index::{CellBox, CellIndex},
-    spec::{GridSpec, Retention},
+    spec::{Evidence, GridSpec, Retention},
 };
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_model::{Periodicities, Zone};
@@ -58,7 +58,8 @@ impl<'a> Space<'a> {
     pub(super) fn new(office: &'a ExploredOffice, goals: usize) -> Result<Self, OfficeError> {
         let [x, y, z] = office.size().map(|cells| cells as i32);
         let extent = CellBox { min: CellIndex::default(), max: CellIndex { x, y, z } };
-        let grid = GridSpec { extent: Some(extent), ..GridSpec::new(ExploredOffice::CELL_M) };
+        let grid =
+            GridSpec { extent: Some(extent), evidence: Evidence::Readings, ..GridSpec::new(ExploredOffice::CELL_M) };
         let lattice = Arc::new(Lattice::new(&grid, extent, CELLS_MAX)?);
         let spec = Arc::new(MapSpec {
             zone: Zone::named("UTC").map_err(OfficeError::setting)?,

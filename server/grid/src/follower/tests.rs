@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::scan::ScanSource;
 use crate::tests::{HOUR, apply, empty};
 
 const TILES: u32 = 3;
@@ -29,7 +30,14 @@ fn logged(number: usize, (seen, cells): &Drawn, shown: &mut [[Mask; 2]]) -> Logg
     }
     flips.iter_mut().for_each(|flips| flips.sort_unstable());
     let [observed_flips, occupied_flips] = flips;
-    LoggedScan { utc_nanos: number as i64 * HOUR, offset_secs: 0, seen: Some(seen), observed_flips, occupied_flips }
+    LoggedScan {
+        utc_nanos: number as i64 * HOUR,
+        offset_secs: 0,
+        source: ScanSource::Cells,
+        seen: Some(seen),
+        observed_flips,
+        occupied_flips,
+    }
 }
 
 fn drawn() -> impl Strategy<Value = Vec<Drawn>> {

@@ -12,13 +12,16 @@ use tidemap_model::LocalDay;
 
 use super::{
     super::{
+        bins::BIN_NANOS,
         day::ScanTime,
         index::TileId,
-        live_tile::{LiveTile, ScanRun},
+        live_tile::{LiveTile, ReadingRule, ScanRun},
         mask::TileMasks,
         scan::{CellRef, LoggedScan, Scans},
         sensors::{ProducerSensor, SensorId},
         snapshot::FutureScan,
+        spec::Evidence,
+        tile_odds::OddsSteps,
     },
     LiveGrid, Previous,
 };
@@ -146,7 +149,8 @@ impl LiveGrid {
         }
         let seen = Arc::clone(&self.last_seen);
         self.scans += 1;
-        let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs, sensor };
+        let LoggedScan { utc_nanos, offset_secs, source, .. } = *scan;
+        let time = ScanTime { utc_nanos, offset_secs, sensor, source };
         let flips = ScanFlips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
         if scan.utc_nanos > plausible_nanos {
             self.flip_arrivals(flips);
@@ -163,9 +167,11 @@ impl LiveGrid {
         let day = LocalDay::of_civil_nanos(time.civil_nanos());
         let same = self.previous.take().filter(|previous| previous.day == day && Arc::ptr_eq(&previous.seen, &seen));
         let is_run = self.run_seen.as_ref().is_some_and(|run| Arc::ptr_eq(run, &seen));
-        let goes_on = is_run && self.run_sensor == sensor;
+        let newest_nanos = self.run.newest_nanos;
+        let follows = scan.utc_nanos > newest_nanos && scan.utc_nanos.saturating_sub(newest_nanos) <= BIN_NANOS;
+        let goes_on = is_run && follows && self.run_origin == (sensor, source);
         let observed = match same {
-            Some(previous) if goes_on && scan.utc_nanos > self.run.newest_nanos => {
+            Some(previous) if goes_on => {
                 previous.observed.saturating_add_signed(self.take_in_like(day, time, &seen, flips))
             }
             _ => {
@@ -196,20 +202,28 @@ impl LiveGrid {
     /// same masks as in the scan before. Returns the change in the number of observed cells.
     fn take_in_like(&mut self, day: LocalDay, time: ScanTime, seen: &Arc<[TileId]>, mut flips: ScanFlips<'_>) -> i64 {
         let run = self.run;
-        let next = ScanRun { count: run.count + 1, newest_nanos: time.utc_nanos };
+        let next = ScanRun { count: run.count + 1, newest_nanos: time.utc_nanos, ..run };
+        let readings = ReadingRule { sensors: &self.sensors, steps: run.steps };
         let kept = Self::day_of(&mut self.days, day);
         let (scan, mut changes) = kept.take(time, seen);
         let mut more_observed = 0;
-        while let Some(id) = flips.next_tile() {
+        let unsettled = std::mem::take(&mut self.unsettled);
+        let mut unsettled = unsettled.into_iter().peekable();
+        while let Some(id) = flips.next_tile().into_iter().chain(unsettled.peek().copied()).min() {
+            unsettled.next_if_eq(&id);
             let Some(tile) = self.tiles.get_mut(id.0 as usize) else { break };
             let tile = Arc::make_mut(tile);
-            let (masks, more) = flips.flip(id, tile.arrival);
-            tile.arrival = masks;
             tile.settle(run);
-            tile.observe(time, masks, &self.sensors);
+            if flips.next_tile() == Some(id) {
+                let (masks, more) = flips.flip(id, tile.arrival);
+                tile.arrival = masks;
+                more_observed += more;
+                changes += kept.show(scan, id, masks);
+            }
+            if !tile.observe(time, tile.arrival, readings) {
+                self.unsettled.push(id);
+            }
             tile.joined = Some(next.count);
-            more_observed += more;
-            changes += kept.show(scan, id, masks);
             Self::note_touch(&mut self.dirty, id);
         }
         self.pending_changes += changes;
@@ -234,28 +248,38 @@ impl LiveGrid {
                     Arc::make_mut(tile).joined = Some(0);
                 }
             }
-            self.run = ScanRun { count: 0, newest_nanos: time.utc_nanos };
-            (self.run_seen, self.run_sensor) = (Some(Arc::clone(seen)), time.sensor);
+            self.run = ScanRun { count: 0, newest_nanos: time.utc_nanos, steps: self.steps(time) };
+            (self.run_seen, self.run_origin) = (Some(Arc::clone(seen)), (time.sensor, time.source));
         }
     }
 
     /// Applies the masks of a settled tile in a scan to the tile's last values and persistence. Returns whether the
     /// scan is newer than all earlier scans of the tile.
     pub(super) fn show_tile(&mut self, id: TileId, time: ScanTime, masks: TileMasks) -> bool {
+        let readings = ReadingRule { sensors: &self.sensors, steps: self.steps(time) };
         let Some(tile) = self.tiles.get_mut(id.0 as usize) else { return true };
         let is_newer = tile.is_newer(time.utc_nanos);
         if is_newer {
-            Arc::make_mut(tile).observe(time, masks, &self.sensors);
+            if !Arc::make_mut(tile).observe(time, masks, readings) {
+                self.unsettled.push(id);
+            }
             self.touch(id);
         } else if !masks.observed().without(tile.current).is_empty() {
-            Arc::make_mut(tile).observe_late(time, masks, &self.sensors);
+            Arc::make_mut(tile).observe_late(time, masks, readings);
             self.touch(id);
         }
         is_newer
     }
 
+    /// What readings of a scan add to the newest evidence.
+    fn steps(&self, time: ScanTime) -> Option<OddsSteps> {
+        let odds = || OddsSteps::new(time.source, self.sensors.odds(time.sensor, time.source));
+        (self.spec.evidence == Evidence::Bins).then(odds)
+    }
+
     /// Ends the run and brings its tiles up to date.
     pub(super) fn end_run(&mut self) {
+        self.unsettled.clear();
         let Some(seen) = self.run_seen.take() else { return };
         for &id in seen.iter() {
             if let Some(tile) = self.tiles.get_mut(id.0 as usize).filter(|tile| tile.joined.is_some()) {

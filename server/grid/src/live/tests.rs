@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     tests::empty,
 };
 
@@ -14,6 +14,7 @@ fn scan(seen: &[u32], observed: &[u32]) -> LoggedScan {
     LoggedScan {
         utc_nanos: 500,
         offset_secs: 0,
+        source: ScanSource::Cells,
         seen: Some(seen.iter().map(|&tile| TileId(tile)).collect()),
         observed_flips: observed.iter().map(|&cell| CellRef(cell)).collect(),
         occupied_flips: Vec::new(),

@@ -14,7 +14,7 @@ fn source(tiles: &[TileIndex]) -> StreamTiles {
 
 fn scan(seen: &Arc<[u32]>, observed: &[u32], occupied: &[u32]) -> StreamScan {
     let (observed_flips, occupied_flips) = (observed.to_vec(), occupied.to_vec());
-    StreamScan { utc_nanos: 1, seen: Arc::clone(seen), observed_flips, occupied_flips }
+    StreamScan { utc_nanos: 1, source: ScanSource::Cells, seen: Arc::clone(seen), observed_flips, occupied_flips }
 }
 
 #[test]

@@ -10,8 +10,9 @@ use crate::{
     day::ScanTime,
     generation::Generation,
     live::TILE_CHUNK,
-    live_tile::{LiveTile, ScanRun},
+    live_tile::{LiveTile, ReadingRule, ScanRun},
     mask::TileMasks,
+    scan::ScanSource,
     sensor_sums::SensorWeights,
     sensors::{ProducerSensor, SensorId, Sensors, Weights},
     spec::{GridSpec, SensorNoise},
@@ -106,11 +107,13 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         let time = |scan: i64, sensor: u8| ScanTime {
             utc_nanos: scan * HOUR,
             offset_secs: 0,
+            source: ScanSource::Cells,
             sensor: SensorId(sensor.min(u8::try_from(others).expect("few"))),
         };
-        seen.observe(time(1, 0), TileMasks::clipped(tile.learned, tile.always), &sensors);
+        let rule = ReadingRule { sensors: &sensors, steps: None };
+        seen.observe(time(1, 0), TileMasks::clipped(tile.learned, tile.always), rule);
         for (scan, (observed, occupied, sensor)) in (2..).zip(&tile.seen) {
-            seen.observe(time(scan, *sensor), TileMasks::clipped(*observed, *occupied), &sensors);
+            seen.observe(time(scan, *sensor), TileMasks::clipped(*observed, *occupied), rule);
         }
         live.push(Arc::new(seen));
     }

@@ -7,7 +7,7 @@ use tidemap_model::Periodicities;
 use super::*;
 use crate::{
     index::TileIndex,
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     snapshot::GridSnapshot,
     tests::{HOUR, apply, empty, learn},
 };
@@ -25,6 +25,7 @@ fn fixed_day(day: i64, tiles: u32) -> Scans {
     let scan = |number: i64| LoggedScan {
         utc_nanos: (24 * day + number) * HOUR,
         offset_secs: 0,
+        source: ScanSource::Cells,
         seen: Some((0..tiles).map(TileId).collect()),
         observed_flips: if (day, number) == (0, 0) { (0..tiles * 512).map(CellRef).collect() } else { Vec::new() },
         occupied_flips: (0..tiles).map(|tile| CellRef(tile * 512 + u32::try_from(number).expect("small"))).collect(),

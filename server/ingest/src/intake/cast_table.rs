@@ -4,7 +4,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_grid::{index::TileIndex, log_head::StreamScan, mask::TileMasks};
+use tidemap_grid::{index::TileIndex, log_head::StreamScan, mask::TileMasks, scan::ScanSource};
 
 #[derive(Debug)]
 pub(super) struct CastTable {
@@ -30,7 +30,11 @@ impl CastTable {
     }
 
     /// The changes of a scan that shows these tiles.
-    pub(super) fn show(&mut self, utc_nanos: i64, tiles: &[(TileIndex, TileMasks)]) -> CastScan {
+    pub(super) fn show(
+        &mut self,
+        (utc_nanos, source): (i64, ScanSource),
+        tiles: &[(TileIndex, TileMasks)],
+    ) -> CastScan {
         let unknown = tiles.iter().filter(|(index, _)| !self.ids.contains_key(index)).count();
         let restarts = self.masks.len() + unknown > self.max_tiles;
         if restarts {
@@ -59,7 +63,7 @@ impl CastTable {
         if !shown.iter().map(|(slot, _)| slot).eq(self.seen.iter()) {
             self.seen = shown.iter().map(|(slot, _)| *slot).collect();
         }
-        let scan = StreamScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips };
+        let scan = StreamScan { utc_nanos, source, seen: Arc::clone(&self.seen), observed_flips, occupied_flips };
         CastScan { scan, new_tiles, restarts }
     }
 }

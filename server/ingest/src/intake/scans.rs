@@ -10,6 +10,7 @@ use tidemap_grid::{
     index::{CellBox, TileIndex},
     mask::TileMasks,
     raycast::{CastError, CastLimits, Readings, cast},
+    scan::ScanSource,
     spec::GridSpec,
 };
 use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
@@ -114,7 +115,8 @@ impl ScanIntake {
             let detail = "no beam has a return within the grid's extent and beyond min_range_m";
             return Err(refusal(RefusalReason::Empty, detail.to_owned()));
         }
-        Ok(self.cast_table.show(utc_nanos, &tiles))
+        let source = self.spec.as_ref().map_or_else(ScanSource::default, |spec| readings.source(spec));
+        Ok(self.cast_table.show((utc_nanos, source), &tiles))
     }
 }
 

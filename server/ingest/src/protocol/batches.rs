@@ -7,6 +7,7 @@ use std::sync::Arc;
 use tidemap_grid::{
     index::{CellBox, TileIndex},
     log_head::StreamScan,
+    scan::ScanSource,
 };
 use tidemap_map::{
     event::{Position, SequenceSpan, StateShape, StatedReporting},
@@ -100,8 +101,13 @@ pub struct CheckedScan {
 
 impl Default for CheckedScan {
     fn default() -> Self {
-        let scan =
-            StreamScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
+        let scan = StreamScan {
+            utc_nanos: 0,
+            source: ScanSource::default(),
+            seen: Arc::from([]),
+            observed_flips: Vec::new(),
+            occupied_flips: Vec::new(),
+        };
         let origin = ScanOrigin::default();
         Self { sequence: 0, content_crc: 0, origin, is_taken: false, scan, new_tiles: Vec::new(), restarts: false }
     }

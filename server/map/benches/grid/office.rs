@@ -8,6 +8,7 @@ use std::sync::Arc;
 use tidemap_grid::{
     index::TileIndex,
     log_head::{LogHead, StreamScan, StreamTiles},
+    scan::ScanSource,
     scan::Scans,
     spec::{GridSpec, Retention},
 };
@@ -96,7 +97,13 @@ impl Office {
             .map(|(scan, (mut occupied_flips, observed_flips))| {
                 occupied_flips.sort_unstable();
                 let utc_nanos = day * DAY_NANOS + scan as i64 * step + self.random(1_000_000_000) as i64;
-                StreamScan { utc_nanos, seen: Arc::clone(&self.seen), observed_flips, occupied_flips }
+                StreamScan {
+                    utc_nanos,
+                    source: ScanSource::Cells,
+                    seen: Arc::clone(&self.seen),
+                    observed_flips,
+                    occupied_flips,
+                }
             })
             .collect()
     }
@@ -110,7 +117,7 @@ impl Office {
                 (0..tiles * 3).map(|place| (place / 3 * 512 + place % 3 * 170 + self.random(170)) as u32).collect();
             cells.sort_unstable();
             let (utc_nanos, seen) = (scan as i64 * step + self.random(1_000_000_000) as i64, Arc::clone(&seen));
-            StreamScan { utc_nanos, seen, observed_flips: cells, occupied_flips: Vec::new() }
+            StreamScan { utc_nanos, source: ScanSource::Cells, seen, observed_flips: cells, occupied_flips: Vec::new() }
         };
         (0..scans).map(scan).collect()
     }
@@ -149,6 +156,7 @@ impl Office {
                 let utc_nanos = day * DAY_NANOS + since + self.random(1_000_000_000) as i64;
                 scans.push(StreamScan {
                     utc_nanos,
+                    source: ScanSource::Cells,
                     seen: Arc::clone(&seen),
                     observed_flips,
                     occupied_flips: Vec::new(),
@@ -168,7 +176,13 @@ impl Office {
         if map.position() > 0 {
             let all = (0..TILES as u32 * 512).collect();
             let seen = Arc::clone(&sent[0].seen);
-            source.skip(&StreamScan { utc_nanos: 0, seen, observed_flips: all, occupied_flips: Vec::new() });
+            source.skip(&StreamScan {
+                utc_nanos: 0,
+                source: ScanSource::Cells,
+                seen,
+                observed_flips: all,
+                occupied_flips: Vec::new(),
+            });
         }
         for scans in sent.chunks(batch) {
             let first_sequence = map.producer(&key).map_or(0, |(_, mark)| mark.durable_sequence) + 1;

@@ -7,6 +7,7 @@ use tidemap_grid::{
     day::{Bit, ScanTime},
     generation::Generation,
     mask::{Mask, TileMasks},
+    scan::ScanSource,
     sensors::SensorId,
     tile::{CellModel, Group, ModelSlot, TileModel},
 };
@@ -87,8 +88,15 @@ fn day_of(scans: &[Shown]) -> GridDay {
     for (step, seen) in scans {
         utc_nanos += step;
         let tiles: Arc<[TileId]> = seen.iter().map(|(id, ..)| TileId(*id)).collect();
-        let scan =
-            day.push(ScanTime { utc_nanos, offset_secs: 3600, sensor: SensorId(u8::from(utc_nanos % 3 == 0)) }, &tiles);
+        let scan = day.push(
+            ScanTime {
+                utc_nanos,
+                offset_secs: 3600,
+                source: ScanSource::Cells,
+                sensor: SensorId(u8::from(utc_nanos % 3 == 0)),
+            },
+            &tiles,
+        );
         for &(id, observed, occupied) in seen {
             day.show(scan, TileId(id), TileMasks::clipped(observed, occupied));
         }
@@ -239,7 +247,12 @@ fn models_that_make_no_sense_do_no_harm() {
 #[test]
 fn the_answer_of_a_model_has_the_bits_of_the_first_version() {
     let scans: Vec<ScanTime> = (0..20_000_i64)
-        .map(|i| ScanTime { utc_nanos: MIDNIGHT + i * 4_321_000_007, offset_secs: 7200, sensor: SensorId::OWN })
+        .map(|i| ScanTime {
+            utc_nanos: MIDNIGHT + i * 4_321_000_007,
+            offset_secs: 7200,
+            source: ScanSource::Cells,
+            sensor: SensorId::OWN,
+        })
         .collect();
     let phasors = DayPhasors::new(&Periodicities::default(), &scans);
     let mut sum = Sum::default();

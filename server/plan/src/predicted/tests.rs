@@ -8,6 +8,7 @@ use std::sync::{
 use tidemap_grid::{
     index::{CellBox, CellIndex, TileIndex},
     log_head::{LogHead, StreamScan, StreamTiles},
+    scan::ScanSource,
     scan::Scans,
     spec::{GridSpec, Retention},
 };
@@ -65,6 +66,7 @@ fn learned(grid: GridSpec) -> MapView {
     for hour in 0..240_i64 {
         let mut sent = StreamScan {
             utc_nanos: hour * HOUR,
+            source: ScanSource::Cells,
             seen: Arc::from([0, 1]),
             observed_flips: Vec::new(),
             occupied_flips: Vec::new(),

@@ -19,7 +19,7 @@ use tidemap_model::LocalDay;
 use super::{
     Invalid,
     cells::{MASK_LENGTH, decode_masks, encode_mask, masks},
-    columns, offsets, sensors,
+    columns, offsets, sensors, sources,
     tile_set::{push_set, take_set},
     varint::{push_varint, take_u32, take_varint},
 };
@@ -39,6 +39,7 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<layout::Day, Invalid
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(day.scans.iter().map(|scan| scan.offset_secs));
     let (sensor_counts, sensor_numbers) = sensors::encode_runs(day.scans.iter().map(|scan| scan.sensor));
+    let (source_counts, source_numbers) = sources::encode(day.scans.iter().map(|scan| scan.source));
     let mut presence = Vec::new();
     let mut before: &[TileId] = &[];
     let mut scans = 0_u64;
@@ -73,6 +74,8 @@ pub(crate) fn encode(day: &GridDay, tiles: usize) -> Result<layout::Day, Invalid
         },
         sensor_counts,
         sensors: sensor_numbers,
+        source_counts,
+        sources: source_numbers,
     })
 }
 
@@ -92,8 +95,10 @@ pub(crate) fn decode(message: &layout::Day, limit: u32, keep: impl Fn(TileId) ->
     let offsets = offsets::decode(&message.offset_counts, &message.offset_secs, count)?;
     let mut day = GridDay::new(LocalDay(message.day));
     let sensor = SensorId::OWN;
-    let times = nanos.into_iter().zip(offsets);
-    day.scans = times.map(|(utc_nanos, offset_secs)| ScanTime { utc_nanos, offset_secs, sensor }).collect();
+    let sources = sources::decode(&message.source_counts, &message.sources, count)?;
+    let times = nanos.into_iter().zip(offsets).zip(sources);
+    day.scans =
+        times.map(|((utc_nanos, offset_secs), source)| ScanTime { utc_nanos, offset_secs, sensor, source }).collect();
     for (scan, sensor) in day
         .scans
         .iter_mut()
@@ -271,6 +276,7 @@ pub(crate) fn encode_ahead(scan: &FutureScan) -> layout::AheadScan {
         tiles: scan.tiles.iter().map(|(tile, _)| tile.0).collect(),
         masks: bytes,
         sensor: u32::from(scan.time.sensor.0),
+        source: sources::number(scan.time.source),
     }
 }
 
@@ -292,6 +298,7 @@ pub(crate) fn decode_ahead(message: &layout::AheadScan, limit: u32) -> Result<Fu
             utc_nanos: message.utc_nanos,
             offset_secs: message.offset_secs,
             sensor: sensors::number(message.sensor)?,
+            source: sources::source(message.source)?,
         },
         tiles: message.tiles.iter().zip(pairs).map(tile).collect::<Result<_, Invalid>>()?,
     })

@@ -19,7 +19,7 @@ use tidemap_map::{
 use super::{
     Invalid, columns,
     ids::{decode_new_producer, decode_refused, encode_new_producer, encode_refused},
-    offsets, spec,
+    offsets, sources, spec,
     tile_set::{push_set, take_set},
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
@@ -109,6 +109,7 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<layout::Scans
     let nanos: Vec<i64> = scans.iter().map(|scan| scan.utc_nanos).collect();
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(scans.iter().map(|scan| scan.offset_secs));
+    let (source_counts, source_numbers) = sources::encode(scans.iter().map(|scan| scan.source));
     Ok(layout::Scans {
         producer: envelope.producer.0,
         new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
@@ -134,6 +135,8 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<layout::Scans
         refused_sequences,
         refused_reasons,
         shown: spec::encode_shown(&event.shown),
+        source_counts,
+        sources: source_numbers,
     })
 }
 
@@ -153,6 +156,7 @@ pub(super) fn decode(message: &layout::Scans) -> Result<(Envelope, Scans), Inval
     };
     let nanos = columns::decode_times(&times, count)?;
     let offsets = offsets::decode(&message.offset_counts, &message.offset_secs, count)?;
+    let sources = sources::decode(&message.source_counts, &message.sources, count)?;
     let seen = decode_seen(&message.seen, count)?;
     let size = |number| usize::try_from(number).map_err(|_| CUT);
     let observed_counts = columns::decode_numbers(&message.observed_counts, count, size)?;
@@ -161,11 +165,13 @@ pub(super) fn decode(message: &layout::Scans) -> Result<(Envelope, Scans), Inval
     let mut occupied: &[u8] = &message.occupied_flips;
     let whole = decode_whole(&message.observed_tiles, count)?;
     let mut scans: Vec<LoggedScan> = Vec::with_capacity(count);
-    let columns = nanos.into_iter().zip(offsets).zip(seen).zip(observed_counts.into_iter().zip(occupied_counts));
-    for (((utc_nanos, offset_secs), seen), (observed_count, occupied_count)) in columns {
+    let columns =
+        nanos.into_iter().zip(offsets).zip(sources).zip(seen).zip(observed_counts.into_iter().zip(occupied_counts));
+    for ((((utc_nanos, offset_secs), source), seen), (observed_count, occupied_count)) in columns {
         scans.push(LoggedScan {
             utc_nanos,
             offset_secs,
+            source,
             seen,
             observed_flips: take_flips(&mut observed, observed_count)?,
             occupied_flips: take_flips(&mut occupied, occupied_count)?,
@@ -295,6 +301,8 @@ fn take_flips(bytes: &mut &[u8], count: usize) -> Result<Vec<CellRef>, Invalid> 
 
 #[cfg(test)]
 mod tests {
+    use tidemap_grid::scan::ScanSource;
+
     use super::*;
 
     #[test]
@@ -302,6 +310,7 @@ mod tests {
         let scan = |observed_flips: Vec<CellRef>| LoggedScan {
             utc_nanos: 5,
             offset_secs: 0,
+            source: ScanSource::Cells,
             seen: None,
             observed_flips,
             occupied_flips: Vec::new(),

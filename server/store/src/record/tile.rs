@@ -3,16 +3,18 @@
 //! Invariant: a tile that is written is in no run of equal scans; counts that are read can grow without an overflow.
 
 use tidemap_grid::{
-    index::TileIndex,
+    index::{TILE_CELLS, TileIndex},
     live_tile::{Away, LiveTile},
+    scan::ScanSource,
     sensors::SensorId,
+    tile_odds::{CellOdds, TileOdds},
 };
 use tidemap_layout::grid as layout;
 
 use super::{
     Invalid,
     cells::{CellsIn, CellsOut, decode_mask, decode_masks, encode_mask},
-    sensors,
+    sensors, sources,
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
 
@@ -55,6 +57,7 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<layout::Tile, I
         has_model,
         sensor: u32::from(tile.sensor.0),
         away_sensors,
+        odds: tile.odds.sources().iter().map(encode_odds).collect::<Result<_, _>>()?,
     })
 }
 
@@ -85,6 +88,8 @@ pub(crate) fn decode(message: &layout::Tile) -> Result<LiveTile, Invalid> {
     if !message.away_sensors.is_empty() && message.away_sensors.len() != tile.away.len() {
         return Err("the sensors of a tile differ in number from its cells");
     }
+    tile.odds = TileOdds::from_sources(message.odds.iter().map(decode_odds).collect::<Result<_, _>>()?)
+        .map_err(|_| "the newest evidence of a tile is out of range, or its sources do not ascend")?;
     let mut offsets = CellsIn::new(&message.offsets);
     while let Some(cell) = offsets.take()? {
         let offset = unzigzag(take_varint(&mut offsets.bytes)?);
@@ -102,6 +107,28 @@ pub(crate) fn decode(message: &layout::Tile) -> Result<LiveTile, Invalid> {
         tile.change_rates.push((cell, rate));
     }
     Ok(tile)
+}
+
+fn encode_odds((source, odds): &(ScanSource, CellOdds)) -> Result<layout::SourceOdds, Invalid> {
+    let mut cells = CellsOut::default();
+    for (cell, odds) in (0..).zip(odds.iter()).filter(|(_, odds)| **odds != 0) {
+        cells.push(cell)?;
+        cells.bytes.extend(odds.to_le_bytes());
+    }
+    Ok(layout::SourceOdds { source: sources::number(*source), cells: cells.bytes })
+}
+
+fn decode_odds(message: &layout::SourceOdds) -> Result<(ScanSource, CellOdds), Invalid> {
+    let mut odds = CellOdds::new([0; TILE_CELLS]);
+    let mut cells = CellsIn::new(&message.cells);
+    while let Some(cell) = cells.take()? {
+        let (&byte, rest) = cells.bytes.split_first().ok_or(CUT)?;
+        cells.bytes = rest;
+        if let Some(odds) = odds.get_mut(usize::from(cell)) {
+            *odds = i8::from_le_bytes([byte]);
+        }
+    }
+    Ok((sources::source(message.source)?, odds))
 }
 
 fn count(count: u64) -> Result<u64, Invalid> {

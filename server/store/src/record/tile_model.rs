@@ -11,8 +11,10 @@ use tidemap_grid::{
     mask::Mask,
     observation_runs::ObservationRuns,
     observed_times::ObservedTimes,
+    scan::ScanSource,
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
     sensors::Weights,
+    standing::Standing,
     tile::{CellModel, Group, TileModel, TileSums},
 };
 use tidemap_layout::grid as layout;
@@ -24,7 +26,7 @@ use tidemap_model::{
 use super::{
     Invalid, cell_watch,
     cells::{decode_mask, encode_mask, place},
-    doubles, observation_runs,
+    doubles, observation_runs, sources,
 };
 
 /// Bytes of a component.
@@ -191,12 +193,21 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
         days: observation_runs::encode(&sums.runs)?,
         times: sums.times.iter().map(|times| cell_watch::encode_times(times)).collect(),
         watches: sums.watches.iter().map(cell_watch::encode_watch).collect(),
+        standing: sums.standing.sources().iter().map(encode_standing).collect(),
     };
     let message = sightings.encode_to_vec();
     let length = u32::try_from(message.len()).map_err(|_| "the runs of a tile are too many")?;
     out.extend(length.to_le_bytes());
     out.extend(message);
     Ok(())
+}
+
+fn encode_standing(&(source, cells): &(ScanSource, Mask)) -> layout::Standing {
+    layout::Standing { source: sources::number(source), cells: encode_mask(cells) }
+}
+
+fn decode_standing(message: &layout::Standing) -> Result<(ScanSource, Mask), Invalid> {
+    Ok((sources::source(message.source)?, decode_mask(&message.cells)?))
 }
 
 /// Appends the number of sums, and the numbers of the shared sums.
@@ -236,11 +247,14 @@ pub(crate) struct EncodedSums<'bytes> {
     sightings_bytes: &'bytes [u8],
 }
 
-/// The observation times of the cells of a tile, and the support and change alarm of each changed cell.
+/// The observation times of the cells of a tile, the support and change alarm of each changed cell, and the cells that
+/// each source of scans last read as occupied.
+#[derive(Clone)]
 struct Sightings {
     runs: ObservationRuns,
     times: Vec<Arc<ObservedTimes>>,
     watches: Vec<OrderWatch>,
+    standing: Standing,
 }
 
 impl Sightings {
@@ -254,6 +268,8 @@ impl Sightings {
             runs: observation_runs::decode(&message.days)?,
             times: message.times.iter().map(cell_watch::decode_times).collect::<Result<_, _>>()?,
             watches: message.watches.iter().map(cell_watch::decode_watch).collect::<Result<_, _>>()?,
+            standing: Standing::from_sources(message.standing.iter().map(decode_standing).collect::<Result<_, _>>()?)
+                .map_err(|_| "the sources of a tile do not ascend, or one has no cell")?,
         })
     }
 }
@@ -319,8 +335,8 @@ impl EncodedSums<'_> {
         let sensors = self.weighted.as_ref();
         let sensors = sensors.map(|known| Box::new(SensorSums { groups: known.iter().map(&mut next).collect() }));
         let cells = cells.collect::<Result<_, _>>()?;
-        let Sightings { runs, times, watches } = &self.sightings;
-        Ok(TileSums { groups, cells, runs: runs.clone(), times: times.clone(), watches: watches.clone(), sensors })
+        let Sightings { runs, times, watches, standing } = self.sightings.clone();
+        Ok(TileSums { groups, cells, runs, times, watches, standing, sensors })
     }
 
     /// Writes these sums again, with other numbers for the shared sums.

@@ -10,12 +10,14 @@ use tidemap_grid::{
     mask::{Mask, TileMasks},
     observation_runs::{CellRuns, DayRuns, ObservationRuns},
     observed_times::ObservedTimes,
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
     sensors::{ProducerSensor, SensorId, Weights},
     snapshot::{FutureScan, GridSnapshot},
     spec::{GridSpec, Retention, SensorNoise},
+    standing::Standing,
     tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
+    tile_odds::TileOdds,
 };
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
@@ -76,6 +78,7 @@ fn events() -> Vec<Event> {
     let scan = |nanos: i64, seen: Option<&[u32]>, observed_flips, occupied_flips| LoggedScan {
         utc_nanos: 1_700_000_000_000_000_000 + nanos,
         offset_secs: if nanos < 2_000_000_000 { 3600 } else { 7200 },
+        source: if nanos == 1_000_000_000 { ScanSource::Rays { height: 1 } } else { ScanSource::Cells },
         seen: seen.map(|seen| seen.iter().copied().map(TileId).collect()),
         observed_flips,
         occupied_flips,
@@ -138,6 +141,7 @@ fn day() -> GridDay {
     let time = |secs: i64| ScanTime {
         utc_nanos: 1_700_000_100_000_000_000 + secs * 1_000_000_000,
         offset_secs: 3600,
+        source: if secs == 500 { ScanSource::Rays { height: -2 } } else { ScanSource::Cells },
         sensor: if secs == 9 { SensorId(1) } else { SensorId::OWN },
     };
     for (secs, first) in [(0, 0), (2, 5), (9, 5), (500, 0)] {
@@ -224,6 +228,11 @@ fn learned() -> (TileModel, TileSums) {
         runs: runs(),
         times: vec![times(), Arc::default()],
         watches: vec![watch(), OrderWatch::of_constant(None)],
+        standing: Standing::from_sources(vec![
+            (ScanSource::Cells, cells(0..3)),
+            (ScanSource::Rays { height: 8 }, cells(3..5)),
+        ])
+        .expect("two sources"),
         sensors: Some(Box::new(SensorSums { groups: vec![Some(weighted), None] })),
     };
     (model, sums)
@@ -242,6 +251,9 @@ fn grid() -> GridSnapshot {
         .collect();
     first.offsets = vec![(5, -3), (63, 2)];
     first.change_rates = vec![(4, 0.25), (5, 0.1)];
+    let mut odds = Box::new([0; 512]);
+    odds[3..6].copy_from_slice(&[112, 27, -64]);
+    first.odds = TileOdds::from_sources(vec![(ScanSource::Rays { height: 8 }, odds)]).expect("in range");
     let (model, sums) = learned();
     // The other tile shares a sum with the first, and a third has not been learned.
     let other_model =
@@ -259,7 +271,12 @@ fn grid() -> GridSnapshot {
         last_seen: [TileId(0), TileId(2)].into(),
         days: vec![day()],
         future: vec![FutureScan {
-            time: ScanTime { utc_nanos: 1_800_000_000_000_000_000, offset_secs: 3600, sensor: SensorId::OWN },
+            time: ScanTime {
+                utc_nanos: 1_800_000_000_000_000_000,
+                offset_secs: 3600,
+                source: ScanSource::Cells,
+                sensor: SensorId::OWN,
+            },
             tiles: vec![(TileId(1), shown(0..3, 0..1))],
         }],
         scans: 9,

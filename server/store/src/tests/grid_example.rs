@@ -11,7 +11,7 @@ use tidemap_grid::{
     mask::{Mask, TileMasks},
     observation_runs::{CellRuns, DayRuns, ObservationRuns},
     observed_times::ObservedTimes,
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
     sensors::{ProducerSensor, SensorId, Weights},
     snapshot::{FutureScan, GridSnapshot},
@@ -80,6 +80,7 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
         scans.push(LoggedScan {
             utc_nanos: number as i64 * 1_000_000_000_000 + scan * 1_000_000_000 + random.random_range(0..3),
             offset_secs: if scan > 10 { 3600 } else { 7200 },
+            source: ScanSource::Cells,
             seen: random.random_bool(0.3).then_some(seen),
             observed_flips: if random.random_bool(0.3) { cells(random) } else { Vec::new() },
             occupied_flips: if random.random_bool(0.7) { cells(random) } else { Vec::new() },
@@ -292,7 +293,7 @@ pub(crate) fn day(day: i32, tiles: u32, random: &mut SmallRng) -> GridDay {
         }
         let utc_nanos = i64::from(day) * DAY_NANOS + scan * 1_000_000_000;
         let (offset_secs, sensor) = (if scan < 30 { 0 } else { 3600 }, sensor(highest, random));
-        let number = kept.push(ScanTime { utc_nanos, offset_secs, sensor }, &seen);
+        let number = kept.push(ScanTime { utc_nanos, offset_secs, source: ScanSource::Cells, sensor }, &seen);
         for &tile in seen.iter() {
             if kept.tile(tile).is_none() || random.random_bool(0.3) {
                 let shown = match kept.tile(tile) {
@@ -341,7 +342,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
     for _ in 0..random.random_range(0..3) {
         let highest = highest_sensor(random);
         let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(highest, random));
-        let time = ScanTime { utc_nanos, offset_secs: -3600, sensor };
+        let time = ScanTime { utc_nanos, offset_secs: -3600, source: ScanSource::Cells, sensor };
         let shown = (0..tiles).map(|tile| (TileId(tile), masks(random))).collect();
         grid.future.push(FutureScan { time, tiles: shown });
     }

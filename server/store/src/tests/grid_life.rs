@@ -5,7 +5,7 @@ use std::{collections::VecDeque, sync::Arc};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{
     index::{TileId, TileIndex},
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
 };
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
@@ -42,6 +42,7 @@ fn events() -> Vec<Event> {
             LoggedScan {
                 utc_nanos: sequence as i64 * (DAY_NANOS / 20),
                 offset_secs: 0,
+                source: ScanSource::Cells,
                 seen: (sequence % 7 == 1).then(|| (0..TILES).map(TileId).collect()),
                 observed_flips: if is_first { (0..TILES * 512).map(CellRef).collect() } else { Vec::new() },
                 occupied_flips: flips,

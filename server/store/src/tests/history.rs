@@ -172,6 +172,7 @@ fn many_states_and_tiles_are_found_through_the_table() {
         let time = tidemap_grid::day::ScanTime {
             utc_nanos: i64::from(number),
             offset_secs: 0,
+            source: tidemap_grid::scan::ScanSource::Cells,
             sensor: tidemap_grid::sensors::SensorId::OWN,
         };
         let scan = day.push(time, &seen);

@@ -7,7 +7,7 @@ use prost::Message as _;
 use rand::{SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{
     index::TileId,
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
 };
 use tidemap_layout::{event as layout, log::FrameKind};
 use tidemap_map::{
@@ -40,6 +40,7 @@ fn still(count: i64) -> Vec<LoggedScan> {
     let scan = |number: i64| LoggedScan {
         utc_nanos: 1_700_000_000_000_000_000 + number * 100_000_000 + number % 7,
         offset_secs: 3600,
+        source: ScanSource::Cells,
         seen: (number == 0).then(|| (0..5000).map(TileId).collect()),
         observed_flips: Vec::new(),
         occupied_flips: Vec::new(),
@@ -71,6 +72,7 @@ proptest! {
         let scan = |(number, utc_nanos): (usize, i64)| LoggedScan {
             utc_nanos,
             offset_secs: i32::MIN,
+            source: ScanSource::Cells,
             seen: (number % 2 == 0).then(|| seen[number.min(seen.len())..].into()),
             observed_flips: flips.clone(),
             occupied_flips: flips.iter().copied().rev().take(number).rev().collect(),

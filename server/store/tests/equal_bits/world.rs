@@ -8,6 +8,7 @@ use std::sync::{Arc, atomic::AtomicU64};
 use tidemap_grid::{
     index::TileIndex,
     log_head::{LogHead, StreamScan, StreamTiles},
+    scan::ScanSource,
     scan::Scans,
     sensors::ProducerSensor,
 };
@@ -206,6 +207,7 @@ impl Writer {
             .iter()
             .map(|scan| StreamScan {
                 utc_nanos: scan.utc_nanos,
+                source: ScanSource::Cells,
                 seen: Arc::clone(&seen),
                 observed_flips: Vec::new(),
                 occupied_flips: scan.occupied_flips.to_vec(),

@@ -10,7 +10,7 @@ use tidemap_model::{
 use crate::{
     index::{TileId, TileIndex},
     live::LiveGrid,
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     tests::{HOUR, SECOND, apply, empty, learn, random},
     tile::CellModel,
     update::rules::UpdateLimits,
@@ -67,6 +67,7 @@ impl Camera {
             scans.push(LoggedScan {
                 utc_nanos,
                 offset_secs: 0,
+                source: ScanSource::Cells,
                 seen: Some((0..tiles).map(TileId).collect()),
                 observed_flips: if is_new { (0..self.cells).map(cell_ref).collect() } else { Vec::new() },
                 occupied_flips,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tidemap_grid::{
     index::{TileId, TileIndex},
-    scan::{CellRef, LoggedScan, Scans},
+    scan::{CellRef, LoggedScan, ScanSource, Scans},
     sensors::ProducerSensor,
     spec::SensorNoise,
 };
@@ -37,6 +37,7 @@ fn scan(seen: &[u32], observed: &[u32]) -> LoggedScan {
     LoggedScan {
         utc_nanos: 500,
         offset_secs: 0,
+        source: ScanSource::Cells,
         seen: Some(seen.iter().map(|&tile| TileId(tile)).collect()),
         observed_flips: observed.iter().map(|&cell| CellRef(cell)).collect(),
         occupied_flips: Vec::new(),

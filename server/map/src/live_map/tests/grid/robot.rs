@@ -8,6 +8,7 @@ use tidemap_grid::{
     index::TileIndex,
     log_head::{StreamScan, StreamTiles},
     mask::{Mask, TileMasks},
+    scan::ScanSource,
     sensors::ProducerSensor,
 };
 
@@ -131,7 +132,7 @@ impl Robot {
             observed_flips.extend((shown.observed() ^ masks.observed()).cells().map(at));
             occupied_flips.extend((shown.occupied() ^ masks.occupied()).cells().map(at));
         }
-        StreamScan { utc_nanos: seen.utc_nanos, seen: slots, observed_flips, occupied_flips }
+        StreamScan { utc_nanos: seen.utc_nanos, source: ScanSource::Cells, seen: slots, observed_flips, occupied_flips }
     }
 }
 

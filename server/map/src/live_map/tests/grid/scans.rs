@@ -10,6 +10,7 @@ use tidemap_grid::{
     live::LiveGrid,
     mask::TileMasks,
     outcome::GridOutcome,
+    scan::ScanSource,
     sensors::ProducerSensor,
 };
 use tidemap_model::{LocalDay, Periodicities};
@@ -77,6 +78,7 @@ impl ScanOracle {
         let time = |scan: &Whole| ScanTime {
             utc_nanos: scan.utc_nanos,
             offset_secs: scan.offset_secs,
+            source: ScanSource::Cells,
             sensor: grid.sensors().find(scan.sensor).expect("one of the grid's"),
         };
         for scan in taken {

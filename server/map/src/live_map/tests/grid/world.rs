@@ -10,7 +10,7 @@ use tidemap_grid::{
     log_head::{LogHead, TooManyTiles},
     scan::Scans,
     sensors::ProducerSensor,
-    spec::{GridSpec, Retention, SensorNoise},
+    spec::{Evidence, GridSpec, Retention, SensorNoise},
     update::rules::UpdateLimits,
 };
 use tidemap_model::{LocalDay, OrderCriterion, Periodicities, Sample, Zone};
@@ -71,7 +71,12 @@ pub(crate) fn spec(rng: &mut u64) -> MapSpec {
             _ => Periodicities::harmonics(36 * HOUR, 20).expect("valid"),
         }, // Without noise, predictions of exactly 0.5 occur; rounding decides their side.
         criterion: if is_noisy && random(rng, 2) == 0 { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError },
-        grid: Some(GridSpec { sensor, retention: Retention::Forever, ..GridSpec::new(0.1) }),
+        grid: Some(GridSpec {
+            sensor,
+            retention: Retention::Forever,
+            evidence: Evidence::Readings,
+            ..GridSpec::new(0.1)
+        }),
         ..MapSpec::new(MapName::new("world").expect("valid"))
     }
 }
