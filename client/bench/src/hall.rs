@@ -114,6 +114,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &HallArgs) -> anyhow::
         ("update_secs", Cell::Secs(job.elapsed_nanos)),
         ("wall_cells", u64::from(score.recall().among).into()),
         ("walls_percent", percent(score.recall())),
+        ("walls_in_place_percent", percent(score.recall_in_place())),
     ];
     figures.extend(score.walls.iter().map(|(thing, share)| (column(*thing), percent(*share))));
     figures.extend([
@@ -186,7 +187,7 @@ async fn grid(client: &Client, map: &str, time_nanos: i64) -> anyhow::Result<Has
     let WholeGrid { tiles, .. } = client.predict_grid(&query).await?.whole().await?;
     let mut known = HashMap::new();
     for tile in tiles {
-        for (place, cell) in (0..64).zip(&tile.cells) {
+        for (place, cell) in (0..64).zip(tile.cells.iter()) {
             let index = [tile.place[0] * 8 + place % 8, tile.place[1] * 8 + place / 8];
             known.extend(cell.value().map(|value| (index, f64::from(value))));
         }

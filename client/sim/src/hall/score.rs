@@ -1,7 +1,7 @@
 //! How right a learned grid is.
 //!
-//! Invariant: a wall counts if beams ended in it several times, and is found if a cell next to it is occupied. A free
-//! cell counts if a beam passed it and it is farther from all things than the errors of pose and range.
+//! Invariant: a cell of a wall counts if beams ended in it several times, and is found if it or a cell next to it is
+//! occupied. A free cell counts if a beam passed it and it is farther from all things than the errors of pose and range.
 
 use std::fmt;
 
@@ -46,8 +46,10 @@ impl fmt::Display for CellShare {
 /// The figures of a grid without the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HallScore {
-    /// The walls that are occupied, by their kind.
+    /// The walls that are occupied, or have an occupied cell next to them, by their kind.
     pub walls: Vec<(HallThing, CellShare)>,
+    /// The walls that are occupied themselves, by their kind.
+    pub walls_in_place: Vec<(HallThing, CellShare)>,
     /// The free cells that are occupied.
     pub false_walls: CellShare,
     /// The free cells that are free.
@@ -69,35 +71,40 @@ impl HallScore {
     /// The figures of a grid that has this probability of each cell; `None`: the cell is unknown.
     pub fn new(truth: &HallTruth, probability: impl Fn([i32; 2]) -> Option<f64>) -> Self {
         let is_still = |cell: &&HallCell| cell.thing.is_some_and(|thing| thing != HallThing::Table);
-        let walls = HallThing::STILL.map(|thing| {
-            let cells = truth.cells().iter().filter(|cell| cell.thing == Some(thing) && cell.ends >= SEEN_ENDS);
-            (thing, CellShare::count(cells.map(|cell| is_found(cell.index, &probability))))
-        });
+        let seen = |thing: HallThing| {
+            truth.cells().iter().filter(move |cell| cell.thing == Some(thing) && cell.ends >= SEEN_ENDS)
+        };
         let away = || truth.cells().iter().filter(|cell| !is_still(cell) && cell.distance_m >= FREE_DISTANCE_M);
         let is_occupied = |cell: &HallCell| probability(cell.index).is_some_and(|value| value > OCCUPIED);
         let is_free = |cell: &HallCell| probability(cell.index).is_some_and(|value| value < 1.0 - OCCUPIED);
+        let shares = |is_found: &dyn Fn(&HallCell) -> bool| {
+            HallThing::STILL.map(|thing| (thing, CellShare::count(seen(thing).map(is_found)))).to_vec()
+        };
         Self {
-            walls: walls.to_vec(),
+            walls: shares(&|cell| is_found(cell.index, &probability)),
+            walls_in_place: shares(&is_occupied),
             false_walls: CellShare::count(away().filter(|cell| cell.is_passed).map(is_occupied)),
             free: CellShare::count(away().filter(|cell| cell.is_passed).map(is_free)),
             hidden_walls: away().filter(|cell| !cell.is_passed && is_occupied(cell)).count() as u32,
         }
     }
 
-    /// The walls of all kinds that are occupied.
+    /// The walls of all kinds that are occupied, or have an occupied cell next to them.
     pub fn recall(&self) -> CellShare {
-        self.walls.iter().fold(CellShare::default(), |sum, (_, share)| CellShare {
-            found: sum.found + share.found,
-            among: sum.among + share.among,
-        })
+        sum(&self.walls)
+    }
+
+    /// The walls of all kinds that are occupied themselves.
+    pub fn recall_in_place(&self) -> CellShare {
+        sum(&self.walls_in_place)
     }
 }
 
 impl fmt::Display for HallScore {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "walls found: {}", self.recall())?;
-        for (thing, share) in &self.walls {
-            writeln!(f, "  {}: {share}", thing.name())?;
+        writeln!(f, "walls within one cell: {}; in their cells: {}", self.recall(), self.recall_in_place())?;
+        for ((thing, share), (_, in_place)) in self.walls.iter().zip(&self.walls_in_place) {
+            writeln!(f, "  {}: {share}; {in_place}", thing.name())?;
         }
         writeln!(f, "free cells that are walls: {}", self.false_walls)?;
         writeln!(f, "free cells that are free: {}", self.free)?;
@@ -115,6 +122,13 @@ impl TableScore {
             occupied: CellShare::count(sides.map(|cell| is_found(cell.index, &probability))),
         }
     }
+}
+
+fn sum(shares: &[(HallThing, CellShare)]) -> CellShare {
+    shares.iter().fold(CellShare::default(), |sum, (_, share)| CellShare {
+        found: sum.found + share.found,
+        among: sum.among + share.among,
+    })
 }
 
 /// Whether the cell or one next to it is occupied.
