@@ -1,12 +1,12 @@
 //! The plan of the hall: 30 m × 20 m, with a corridor along its north side, two rooms, pillars, shelves, boards, and
 //! wall parts from which few beams return.
 //!
-//! Invariant: nothing but the table ever moves. Most faces do not lie on the borders of cells of 0.1 m, and one wall and
-//! one pillar are at an angle to them.
+//! Invariant: nothing but the table ever moves. Most faces do not lie on the borders of cells of 0.1 m, and one wall
+//! and two pillars are at an angle to them.
 
 use super::solid::{Hit, Solid};
 
-/// What a thing of the hall is.
+/// A kind of things in the hall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum HallThing {
     /// A wall around the hall.

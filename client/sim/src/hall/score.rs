@@ -1,7 +1,8 @@
 //! How right a learned grid is.
 //!
 //! Invariant: a cell of a wall counts if beams ended in it several times, and is found if it or a cell next to it is
-//! occupied. A free cell counts if a beam passed it and it is farther from all things than the errors of pose and range.
+//! occupied. A free cell counts if a beam passed it and if its distance from all things is more than the errors of pose
+//! and range.
 
 use std::fmt;
 

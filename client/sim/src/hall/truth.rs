@@ -14,7 +14,7 @@ const LOWEST: i32 = -5;
 const WIDTH: i32 = 312;
 const HEIGHT: i32 = 212;
 /// Distance between two places of a beam at which its cells are noted.
-const STEP_M: f64 = 0.04;
+const STEP_M: f64 = 0.08;
 /// The last part of a beam, within the errors of its thing's border.
 const END_M: f64 = 0.15;
 
