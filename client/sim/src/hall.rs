@@ -1,9 +1,9 @@
 //! A simulated hall with known walls, and a robot that patrols it with two planar scanners.
 //!
-//! The hall has what makes a learned grid wrong: a corridor whose walls beams graze, shelves that the upper scanner does
-//! not see, boards that the lower one does not see, dark and shiny walls from which few beams return, and a table that
-//! stands there from 9 to 12 on working days. The robot's reported pose drifts. On working days it patrols in each half
-//! hour from 8 to 18, otherwise once an hour.
+//! The hall has what makes a learned grid wrong: a corridor whose walls beams graze, shelves that the upper scanner
+//! does not see, boards that the lower one does not see, dark and shiny walls from which few beams return, and a table
+//! that stands there from 9 to 12 on working days. The robot's reported pose drifts. On working days it patrols in each
+//! half hour from 8 to 18, otherwise once an hour.
 //!
 //! Invariant: pure. The scans of a day depend on the options and the number of the day only, and the truth depends on
 //! the scans that it notes.
