@@ -54,6 +54,22 @@ fn ends_of_beams_from_true_poses_cover_the_walls_that_are_visible() {
 }
 
 #[test]
+fn ends_of_beams_from_poses_that_are_far_off_are_false_walls() {
+    let hall = hall(HallOptions { drift_m: 0.8, stops: 30, ..HallOptions::default() });
+    let mut truth = hall.truth();
+    let mut occupied = HashSet::new();
+    for scan in scans(&hall) {
+        truth.note(&scan);
+        occupied.extend(ends(&scan, scan.reported_pose).map(cell));
+    }
+    let score = HallScore::new(&truth, |index| occupied.contains(&index).then_some(1.0));
+    assert!(score.false_walls.share() > 0.01 && score.hidden_walls > 0, "{score}");
+    // A grid that is unknown everywhere has neither walls nor free cells.
+    let unknown = HallScore::new(&truth, |_| None);
+    assert_eq!((unknown.recall().found, unknown.false_walls.found, unknown.free.found), (0, 0, 0), "{unknown}");
+}
+
+#[test]
 fn scanners_see_the_things_at_their_height_and_dark_walls_return_few_beams() {
     let hall = hall(HallOptions { noise_m: 0.0, ..HallOptions::default() });
     let (mut lost, mut by_scanner) = (HashMap::<bool, u32>::new(), HashMap::<&str, HashSet<&str>>::new());
