@@ -12,7 +12,8 @@ use tidemap_tests::{
     daemon::Launch,
 };
 
-fn bench(server: &str, args: &[&str]) -> Outcome {
+/// Runs a measurement.
+pub(crate) fn bench(server: &str, args: &[&str]) -> Outcome {
     let output = Command::new(binaries::tidemap_bench()).args(["--server", server]).args(args).output();
     let output = output.expect("tidemap-bench can be started");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("output is text");

@@ -9,6 +9,7 @@ mod bad_scans;
 mod bad_streams;
 mod changed;
 mod half_life;
+mod hall;
 mod history;
 mod kill;
 pub(crate) mod map_file;

@@ -4,6 +4,7 @@
 //! speed of the daemon's disk, because figures of two machines cannot be compared without it.
 
 mod grid;
+mod hall;
 mod lag;
 mod landmarks;
 mod latencies;
@@ -59,6 +60,8 @@ enum BenchCommand {
     Landmarks(landmarks::LandmarkBenchArgs),
     /// Measures how fast months of scans of a whole office are learned, with an update every night
     Grid(grid::GridArgs),
+    /// Compares the grid that is learned from a robot's scans with the known walls of a hall
+    Hall(hall::HallArgs),
 }
 
 /// The daemon's process.
@@ -79,6 +82,7 @@ async fn run(BenchLine { connection, command }: &BenchLine) -> anyhow::Result<Ex
     let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
     let (new_map, keep) = match command {
         BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
+        BenchCommand::Hall(args) => (args.new_map(format!("bench-hall-{unique}")), args.keeps()),
         BenchCommand::Observe(args) => (args.new_map(format!("bench-{unique}")), args.keeps()),
         BenchCommand::Landmarks(args) => (args.new_map(format!("bench-{unique}")), false),
         _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
@@ -115,6 +119,7 @@ async fn measure(
         BenchCommand::Search(args) => search::run(client, map, args).await?,
         BenchCommand::Landmarks(args) => landmarks::run(client, map, args).await?,
         BenchCommand::Grid(args) => grid::run(client, map, args).await?,
+        BenchCommand::Hall(args) => hall::run(client, map, args).await?,
     };
     figures.extend(machine::disk(client).await?);
     Ok(figures)

@@ -19,6 +19,7 @@ pub(crate) enum DrawTopic {
     BuildingReading,
     BuildingDrive,
     BuildingFloor,
+    HallPatrol,
 }
 
 /// The generator for the `index`-th thing of a topic on a date.

@@ -1,8 +1,8 @@
 //! Simulated offices for the demo, the benchmarks and the tests. [`Office`] has doors and rooms, people with daily and
 //! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy
 //! grids, [`ExploredOffice`] a small floor for exploration experiments, [`Home`] a home whose
-//! sensors report changes, [`BuildingDay`] a day of a building with a floor, rooms, doors and drives, and
-//! [`StreamOffice`] a floor with streams of people.
+//! sensors report changes, [`BuildingDay`] a day of a building with a floor, rooms, doors and drives,
+//! [`StreamOffice`] a floor with streams of people, and [`Hall`] a hall with known walls that a robot scans.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that queries can come in any order. Draws may change with the version of this crate.
@@ -22,6 +22,7 @@ mod day;
 mod draw;
 mod explored_office;
 mod grid_office;
+mod hall;
 mod home;
 mod patrol;
 mod people;
@@ -40,6 +41,10 @@ pub use self::building::{
 };
 pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
+pub use self::hall::{
+    CellShare, HALL_SCANNERS, Hall, HallCell, HallOptions, HallPose, HallScan, HallScanner, HallScore, HallThing,
+    HallTruth, TableScore,
+};
 pub use self::home::{Home, SensorChange};
 pub use self::streams::{DetectedWalk, StreamOffice, StreamWalk};
 pub use self::zone::UnknownZone;
