@@ -3,23 +3,11 @@
 //! Invariant: an image has one value for each pixel, none above its `max`; a file that is truncated, or followed by
 //! anything except white space, is refused.
 
+use super::image::Image;
 use crate::{
     CELLS_MAX,
     error::{FilePlace, FormatError, FormatProblem, shown, shown_start},
 };
-
-/// An image.
-#[derive(Debug)]
-pub(super) struct Image {
-    /// Number of pixels in a row.
-    pub width: u32,
-    /// Number of rows.
-    pub height: u32,
-    /// The value of white.
-    pub max: u16,
-    /// The pixels, the top row first.
-    pub values: Vec<u16>,
-}
 
 /// Reads an image.
 pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
@@ -31,7 +19,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
                 FilePlace::Byte(0),
                 "the start of the image",
                 shown_start(bytes),
-                "\"P2\" or \"P5\", as in a PGM file; convert other images to PGM",
+                "\"P2\" or \"P5\", as in a PGM file, or a PNG file; convert other images to PGM",
             ));
         }
     };
@@ -83,7 +71,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
     if !behind.is_empty() {
         return Err(FormatError::trailing(words.at as u64, behind.len() as u64, "the last pixel"));
     }
-    Ok(Image { width, height, max, values })
+    Ok(Image { width, height, max, values, transparent: Vec::new() })
 }
 
 /// The words of a header, or of an image that is text.
