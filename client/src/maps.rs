@@ -13,8 +13,8 @@ pub use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
-pub use tidemap_map::view::NotLearned;
 pub use tidemap_map::event::{Dimensions, RowKind, StateKind, StateSensor, StateShape, StatedReporting};
+pub use tidemap_map::view::NotLearned;
 pub use tidemap_model::{EnabledModels, OrderCriterion, PeriodicityDefinition};
 pub use tidemap_model::{InvalidReporting, Reporting};
 use tidemap_proto::convert::time::{duration, instant, span};
@@ -119,7 +119,7 @@ pub struct Map {
     pub has_real_clock: bool,
     /// Number of the pending observations that wait because their time is later than the daemon's clock.
     pub ahead_observations: u64,
-    /// What an update would learn now; `None`: nothing.
+    /// The data that an update would learn now; `None`: there is none.
     pub not_learned: Option<NotLearned>,
 }
 

@@ -32,7 +32,7 @@ mod write;
 
 use super::error::{FilePlace, FormatError};
 
-pub use compare::{Comparison, NotComparable, SideCounts, compare};
+pub use compare::{Agreement, NotComparable, SideCounts, compare};
 pub use mask::{keepout, speed};
 pub use scan_ends::{ScanEnds, in_keepout, in_map};
 pub use settings::{GridMode, GridSettings, read_settings};

@@ -130,12 +130,12 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
     }
 }
 
-/// What an update would learn, for the wire.
+/// The data that an update would learn, for the wire.
 fn not_learned_to_wire(waiting: &NotLearned) -> v1::NotLearned {
     v1::NotLearned { observations: waiting.observations, scans: waiting.scans, all: waiting.is_all }
 }
 
-/// What an update would learn.
+/// The data that an update would learn.
 #[must_use]
 pub fn not_learned_from_wire(waiting: &v1::NotLearned) -> NotLearned {
     NotLearned { observations: waiting.observations, scans: waiting.scans, is_all: waiting.all }

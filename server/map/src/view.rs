@@ -100,7 +100,7 @@ impl MapView {
         self.pending
     }
 
-    /// What an update would learn now, without what waits ahead of the clock. `None`: nothing.
+    /// The data that an update would learn now, without the data that waits ahead of the clock. `None`: there is none.
     pub fn not_learned(&self) -> Option<NotLearned> {
         let (scans, pending_scans, scans_ahead) =
             self.grid().map_or((0, 0, 0), |grid| (grid.scans(), grid.pending_scans(), grid.scans_ahead()));

@@ -316,7 +316,7 @@ fn cells(map: Map) -> Vec<Cell> {
     ]
 }
 
-/// What waits for the first update of a map; `None`: an update has learned something, or there is nothing to learn.
+/// The data that waits for the first update of a map; `None`: an update has learned something, or there is no data.
 fn never_learned(map: &Map) -> Option<NotLearned> {
     map.not_learned.filter(|waiting| waiting.is_all)
 }

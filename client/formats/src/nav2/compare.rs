@@ -29,7 +29,7 @@ pub struct SideCounts {
 
 /// The result of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Comparison {
+pub struct Agreement {
     /// The cells of the file.
     pub file: SideCounts,
     /// The cells of the map.
@@ -78,7 +78,7 @@ struct Layer {
 ///
 /// # Errors
 /// The maps have nothing in common, or cells of very different sizes.
-pub fn compare(file: &Grid, map: &MapPicture, thresholds: Thresholds) -> Result<Comparison, NotComparable> {
+pub fn compare(file: &Grid, map: &MapPicture, thresholds: Thresholds) -> Result<Agreement, NotComparable> {
     let of_map = map.cells.iter().map(|cell| thresholds.cell(map.value_of(*cell).map(f64::from)));
     let [width, height, _] = map.size_cells.map(|size| size as usize);
     let map = Layer {
@@ -107,7 +107,7 @@ pub fn compare(file: &Grid, map: &MapPicture, thresholds: Thresholds) -> Result<
         return Err(NotComparable::NothingKnown { file: boxes.0, map: boxes.1 });
     }
     let (of_map, _) = counts(&map, &file, reach_m);
-    Ok(Comparison { file: of_file, map: of_map, within_m: wide })
+    Ok(Agreement { file: of_file, map: of_map, within_m: wide })
 }
 
 /// The counts of the cells of one map against another, and the number of cells that are known in both.
@@ -200,7 +200,7 @@ mod tests {
     }
 
     fn compared(file: &Grid, map: &MapPicture) -> (SideCounts, SideCounts) {
-        let Comparison { file, map, .. } = compare(file, map, Thresholds::default()).expect("maps that overlap");
+        let Agreement { file, map, .. } = compare(file, map, Thresholds::default()).expect("maps that overlap");
         (file, map)
     }
 

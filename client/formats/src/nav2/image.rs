@@ -1,9 +1,9 @@
 //! The image of a grid: PGM or PNG, as grey values.
 //!
-//! A colour is read as the map servers of ROS read it: the mean of its channels, in mode trinary with the opacity as one
-//! more channel.
+//! A colour is read as the map servers of ROS read it: the mean of its channels, in mode trinary with the opacity as
+//! one more channel.
 //!
-//! Invariant: an image has one value for each pixel, none above its `max`, and the start of the file decides the format.
+//! Invariant: an image has one value for each pixel, none above its `max`; the start of the file decides the format.
 
 use std::io::Cursor;
 

@@ -1,12 +1,12 @@
-//! The cells of a grid in which scans ended, and what a map or a mask shows of them: a thing that is there for a part of
-//! the time is free in a map of the hours without it.
+//! The cells of a grid in which scans ended, and what a map or a mask shows of them: a thing that is there for a part
+//! of the time is free in a map of the hours without it.
 //!
 //! Invariant: a cell is counted if it was read as occupied at least once, up to the last update.
 
 use super::{GridCell, Thresholds};
 use crate::{MapPicture, PictureCell};
 
-/// From this probability on, a cell that was only ever read as one thing was read as occupied. A cell that no update has
+/// Above this probability, a cell that was only ever read as one thing was read as occupied. A cell that no update has
 /// learned has this probability, and is not counted.
 const ALWAYS_OCCUPIED: f32 = 0.5;
 

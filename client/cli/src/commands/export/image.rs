@@ -10,7 +10,7 @@ use tidemap_formats::{
 use super::{
     super::{
         Session, files,
-        grid::scan_ends::{ShownAs, FileScanEnds},
+        grid::scan_ends::{FileScanEnds, ShownAs},
     },
     ExportArgs, Written,
     args::Mask,

@@ -10,21 +10,21 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap_client::queries::{GridOutput, GridQuery, ModelSelector};
+use tidemap_client::queries::{GridOutput, GridQuery, ModelKind, ModelSelector};
 use tidemap_formats::{
     PictureValue,
-    nav2::{self, Comparison, SideCounts, Thresholds},
+    nav2::{self, Agreement, SideCounts, Thresholds},
     table::{Cell, Format},
 };
 
 use super::{
-    grid_of,
+    grid_of_map,
     place::AxisRange,
     predict::{picture, predicted, usual_region},
     scans::plane,
 };
 use crate::{
-    commands::{Session, UsageError, files, predict::check_for_cells, times},
+    commands::{Session, UsageError, files, predict::check_for_cells, shell_word::quoted, times},
     counted::{count, counted, percent},
     output,
     progress::status_line,
@@ -73,7 +73,16 @@ pub(crate) async fn run(session: &Session, args: GridCompareArgs) -> anyhow::Res
     check_ending(&args.file)?;
     let shown = args.file.display().to_string();
     let (file, settings) = plane(&args.file, args.unknown_205).with_context(|| shown.clone())?;
-    let (grid, _) = grid_of(session, &args.map).await?;
+    let map = session.client.map(&args.map).await?;
+    let is_learned = map.not_learned.is_none_or(|waiting| !waiting.is_all);
+    let (grid, _) = grid_of_map(map)?;
+    if !is_learned && args.model.kind != ModelKind::Latest {
+        anyhow::bail!(
+            "no update has learned anything of map {0:?}, so its cells are unknown: tidemap update {1}, or --model latest",
+            args.map,
+            quoted(&args.map)
+        );
+    }
     if let Some(frame) = args.frame.filter(|frame| *frame != grid.frame_id) {
         anyhow::bail!(
             "{shown} is in frame {frame:?}, and the grid of map {:?} in frame {:?}: only maps of one frame can be \
@@ -105,7 +114,7 @@ pub(crate) async fn run(session: &Session, args: GridCompareArgs) -> anyhow::Res
         output::print(&sentences(&base_name(&args.file), &args.map, &compared))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let Comparison { file: of_file, map: of_map, within_m } = compared;
+    let Agreement { file: of_file, map: of_map, within_m } = compared;
     session.print(
         &COLUMNS,
         [vec![
@@ -137,8 +146,8 @@ fn base_name(file: &Path) -> String {
 }
 
 /// The result, for people.
-fn sentences(file: &str, map: &str, compared: &Comparison) -> String {
-    let Comparison { file: of_file, map: of_map, within_m } = compared;
+fn sentences(file: &str, map: &str, compared: &Agreement) -> String {
+    let Agreement { file: of_file, map: of_map, within_m } = compared;
     let found = |counts: &SideCounts, own: &str, other: &str| {
         format!(
             "f {} of {own}, {}{} {} occupied in {other}",
@@ -174,7 +183,7 @@ mod tests {
             free_but_occupied,
             unknown_there,
         };
-        let compared = Comparison { file: side(1204, 1150, 1, 0), map: side(1, 1, 2, 3000), within_m: 0.1 };
+        let compared = Agreement { file: side(1204, 1150, 1, 0), map: side(1, 1, 2, 3000), within_m: 0.1 };
         assert_eq!(
             sentences("ten.yaml", "lab", &compared),
             "Of 1,204 occupied cells of ten.yaml, 1,150 (96 %) are occupied in lab, within a cell (0.1 m); of 1 occupied \

@@ -19,7 +19,7 @@ use tonic::Code;
 
 use super::{
     place::{AxisRange, Rectangle, cells, corner_m},
-    scan_ends::{self, ShownAs, FileScanEnds},
+    scan_ends::{self, FileScanEnds, ShownAs},
 };
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times::RequestedTimesArgs, usage},

@@ -69,7 +69,7 @@ async fn update(session: &Session, map: &str, started: &mut Option<u64>) -> anyh
     Ok(learned(map, &waiting, &ended))
 }
 
-/// What an update has learned, in one line.
+/// A line about the data that an update has learned.
 fn learned(map: &str, waiting: &NotLearned, ended: &Job) -> String {
     let what = some_of(&[(waiting.scans, "scan"), (waiting.observations, "observation")]);
     format!("map {map:?} has learned {what}, in {:.1} s", ended.elapsed_nanos as f64 / 1e9)
