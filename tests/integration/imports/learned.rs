@@ -54,7 +54,7 @@ fn an_import_ends_with_an_update_that_learns_all_of_it() {
 }
 
 #[test]
-fn an_import_without_an_update_leaves_it_to_the_user_who_is_told_how() {
+fn an_import_without_an_update_leaves_it_to_the_user() {
     let (folder, daemon) = started();
     let file = written(&folder, "drive.bag", &drive(30), usize::MAX);
     let import = words(&daemon, &format!("import room {} --producer robot-1 --no-update", file.display()));

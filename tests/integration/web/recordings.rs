@@ -134,7 +134,7 @@ fn a_map_learns_a_recording_when_it_is_imported() {
     };
     let (printed, exit) = imported(&send(&daemon, "flat/recordings/first.bag?update=false", &[], &door(40)));
     assert_eq!((exit, printed.contains("learned")), (0, false), "{printed}");
-    assert_eq!(waiting(), json!({ "observations": "40", "all": true }));
+    assert_eq!(waiting(), json!({ "observations": "40", "scans": "0", "all": true }));
     let (printed, exit) = imported(&send(&daemon, "flat/recordings/second.bag", &[], &door(10)));
     assert_eq!(exit, 0, "{printed}");
     assert!(printed.contains("map \"flat\" has learned 50 observations, in "), "{printed}");

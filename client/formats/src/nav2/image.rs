@@ -9,28 +9,16 @@ use std::io::Cursor;
 
 use ::png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 
-use super::{FilePlace, FormatError, GridMode, pgm};
+use super::{
+    FilePlace, FormatError, GridMode,
+    pgm::{self, Image},
+};
 use crate::CELLS_MAX;
 
 /// The start of a PNG file.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Maximum number of bytes of a pixel: four channels of two bytes.
 const PIXEL_BYTES_MAX: u64 = 8;
-
-/// An image.
-#[derive(Debug)]
-pub(super) struct Image {
-    /// Number of pixels in a row.
-    pub width: u32,
-    /// Number of rows.
-    pub height: u32,
-    /// The value of white.
-    pub max: u16,
-    /// The pixels, the top row first.
-    pub values: Vec<u16>,
-    /// Whether each pixel is transparent, at least in part; empty: none is.
-    pub transparent: Vec<bool>,
-}
 
 /// Reads an image for a grid of a mode.
 pub(super) fn read(bytes: &[u8], mode: GridMode) -> Result<Image, FormatError> {

@@ -3,11 +3,25 @@
 //! Invariant: an image has one value for each pixel, none above its `max`; a file that is truncated, or followed by
 //! anything except white space, is refused.
 
-use super::image::Image;
 use crate::{
     CELLS_MAX,
     error::{FilePlace, FormatError, FormatProblem, shown, shown_start},
 };
+
+/// An image.
+#[derive(Debug)]
+pub(super) struct Image {
+    /// Number of pixels in a row.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+    /// The value of white.
+    pub max: u16,
+    /// The pixels, the top row first.
+    pub values: Vec<u16>,
+    /// Whether each pixel is transparent, at least in part; empty: none is.
+    pub transparent: Vec<bool>,
+}
 
 /// Reads an image.
 pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
