@@ -14,13 +14,16 @@ pub use tidemap_grid::{
     spec::{GridSpec, Retention, SensorNoise},
 };
 pub use tidemap_map::event::{Dimensions, RowKind, StateKind, StateSensor, StateShape, StatedReporting};
+pub use tidemap_map::view::NotLearned;
 pub use tidemap_model::{EnabledModels, OrderCriterion, PeriodicityDefinition};
 pub use tidemap_model::{InvalidReporting, Reporting};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
     enabled::{enabled_from_wire, enabled_to_wire},
     grid::{cell_box_from_wire, grid_from_wire, grid_to_wire, retention_from_wire, retention_to_wire},
-    map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
+    map::{
+        criterion_from_wire, criterion_to_wire, not_learned_from_wire, periodicities_from_wire, periodicities_to_wire,
+    },
     reporting::{reporting_from_wire, stated_reporting_to_wire},
     state_sensor::{state_sensor_from_wire, state_sensor_to_wire},
     vectors::{shape_from_wire, shape_to_wire},
@@ -116,6 +119,8 @@ pub struct Map {
     pub has_real_clock: bool,
     /// Number of the pending observations that wait because their time is later than the daemon's clock.
     pub ahead_observations: u64,
+    /// The data that an update would learn now; `None`: there is none.
+    pub not_learned: Option<NotLearned>,
 }
 
 /// Counters of a grid.
@@ -339,6 +344,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         models: enabled_from_wire("models", &map.models, Retention::Forever).map_err(wrong)?,
         has_real_clock: map.real_clock,
         ahead_observations: map.ahead_observations,
+        not_learned: map.not_learned.as_ref().map(not_learned_from_wire),
     })
 }
 

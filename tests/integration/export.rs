@@ -4,6 +4,7 @@
 //! Invariant: expected values are those that other commands print; files are read as their formats define, not by the
 //! code that wrote them.
 
+mod compare;
 mod files;
 mod graph;
 mod readers;

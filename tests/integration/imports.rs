@@ -3,6 +3,7 @@
 //! Invariant: the expected data follows from how a recording was written, or from an independent program that has read
 //! it, never from the daemon's answers.
 
+mod learned;
 mod mappings;
 mod real;
 

@@ -249,6 +249,11 @@ fn check_grid_and_exploration(checked: &mut Checked, folder: &str) {
     checked.run("grid predict", &format!("home --at {NOON} --out {folder}/noon.png"));
     let exported = checked.run("export", &format!("home {folder}/noon.yaml --at {NOON} --mask speed"));
     assert_eq!((&exported[0]["content"], exported.as_array().map(Vec::len)), (&"speed".into(), Some(1)));
+    let exported = checked.run("export", &format!("home {folder}/map.yaml --at {NOON}"));
+    assert!(exported[0]["scan_ends"].is_u64(), "{exported}");
+    checked.run("grid predict", &format!("home --at {NOON} --out {folder}/map-too.pgm"));
+    let compared = checked.run("grid compare", &format!("home {folder}/map.yaml --at {NOON}"));
+    assert_eq!(compared[0]["file_occupied"], compared[0]["map_found"]);
     let changed = checked.run("grid changed", "home");
     assert_eq!(changed, serde_json::json!([]));
     checked.run("visit", &format!("home 1,1 --reached true --at {NOON}"));

@@ -4,6 +4,7 @@
 //! a refusal, 2 after a usage error and for a cluster that is lost, 130 after Ctrl-C.
 
 mod commands;
+mod counted;
 mod daemon_child;
 mod demo;
 

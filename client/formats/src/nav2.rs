@@ -1,11 +1,11 @@
-//! Grids of the ROS map servers: a YAML file with the settings, and a grey image in PGM.
+//! Grids of the ROS map servers: a YAML file with the settings, and an image, PGM or PNG.
 //!
 //! Pixels are read as the map servers of ROS read them, in all three modes. Let `shade` be the pixel from 0 black to 1
 //! white, and `occ` be `1 - shade`, or `shade` if `negate` is set:
 //!
 //! - `trinary`: occupied above `occupied_thresh`, free below `free_thresh`, unknown between them;
 //! - `scale`: as `trinary`, but with a probability between the thresholds. Unknown cells are transparent pixels, which
-//!   PGM files do not have;
+//!   PGM files do not have, and PNG files may have;
 //! - `raw`: `shade * 255` is the probability in percent from 0 to 100, and higher values are unknown.
 //!
 //! The writer uses `trinary`, the mode that every tool understands, and for probabilities `raw`, the only mode in which
@@ -20,8 +20,11 @@
 //!
 //! Invariant: rows of a [`Grid`] go upwards, rows of the image downwards; a grid has one cell for each pixel.
 
+mod compare;
+mod image;
 mod mask;
 mod pgm;
+mod scan_ends;
 mod settings;
 #[cfg(test)]
 mod tests;
@@ -29,7 +32,9 @@ mod write;
 
 use super::error::{FilePlace, FormatError};
 
+pub use compare::{Agreement, NotComparable, SideCounts, compare};
 pub use mask::{keepout, speed};
+pub use scan_ends::{ScanEnds, in_keepout, in_map};
 pub use settings::{GridMode, GridSettings, read_settings};
 pub use write::{Thresholds, write};
 
@@ -84,12 +89,16 @@ impl GridCell {
 
 /// Reads the image of a grid with the settings of its YAML file.
 pub fn read(settings: &GridSettings, image: &[u8]) -> Result<Grid, FormatError> {
-    let image = pgm::read(image)?;
+    let image = image::read(image, settings.mode)?;
     let cells_by_value: Vec<GridCell> = (0..=image.max).map(|value| cell(settings, value, image.max)).collect();
     let width = image.width as usize;
     let rows = image.values.chunks_exact(width).rev();
     // No value is above the image's maximum.
-    let cells = rows.flatten().map(|&value| cells_by_value[usize::from(value)]).collect();
+    let mut cells: Vec<GridCell> = rows.flatten().map(|&value| cells_by_value[usize::from(value)]).collect();
+    if settings.mode == GridMode::Scale && !image.transparent.is_empty() {
+        let transparent = image.transparent.chunks_exact(width).rev().flatten();
+        cells.iter_mut().zip(transparent).filter(|(_, is)| **is).for_each(|(cell, _)| *cell = GridCell::Unknown);
+    }
     let is_free_205 = settings.mode == GridMode::Trinary
         && image.max == 255
         && cells_by_value.get(usize::from(SAVED_UNKNOWN)) == Some(&GridCell::Free);

@@ -405,7 +405,7 @@ try {
 
     await check('what no update has learned is shown as last seen, until the page runs the update', async () => {
         daemon.run('sample', 'recording', join(folder, 'lab'));
-        daemon.run('import', 'lab', join(folder, 'lab', 'robot.mcap'));
+        daemon.run('import', 'lab', join(folder, 'lab', 'robot.mcap'), '--no-update');
         await page.goto(daemon.http);
         await page.getByTestId('maps').getByRole('listitem').filter({ hasText: 'Not learned yet: 4,032 observations and 2,016 scans' }).waitFor();
         await page.goto(`${daemon.http}/states/lab?at=2025-01-15T12:00:00Z`);
@@ -481,12 +481,16 @@ try {
         await page.getByTestId('import-outcome').getByText('Imported into corridor.').waitFor();
         const said = await page.getByTestId('import-lines').innerText();
         assert.match(said, /map "corridor" is created[^]*\/scan +sensor_msgs\/LaserScan +2016 +scans +2016 +0 +0/);
+        assert.match(said, /map "corridor" has learned 2,016 scans and 4,032 observations, in [0-9.]+ s/);
         assert.deepEqual(await violations(page), []);
         await page.screenshot({ path: join(folder, 'import.png') });
         await page.getByTestId('import-open').click();
         await page.getByTestId('map-canvas').waitFor();
         assert.equal(new URL(page.url()).pathname, '/maps/corridor');
         assert.equal(await page.getByTestId('import-dialog').count(), 0);
+        // The map is shown as it was learned.
+        await page.getByTestId('legend').waitFor();
+        assert.deepEqual(await Promise.all(['not-learned', 'legend-unlearned'].map((id) => page.getByTestId(id).count())), [0, 0]);
         // The same file, picked with the button, is for the open map, and nothing of it is new.
         await page.getByTestId('import-files').setInputFiles(file);
         assert.equal(await name.inputValue(), 'corridor');
@@ -497,7 +501,8 @@ try {
         await page.keyboard.press('Escape');
         await page.getByTestId('import-dialog').waitFor({ state: 'detached' });
         assert.equal(await page.evaluate(() => document.activeElement?.dataset.testid), 'import');
-        assert.equal(JSON.parse(daemon.run('map', 'show', 'corridor', '--output', 'json'))[0].scans, 2016);
+        const [shown] = JSON.parse(daemon.run('map', 'show', 'corridor', '--output', 'json'));
+        assert.deepEqual([shown.scans, shown.pending, shown.pending_scans, shown.updates], [2016, 0, 0, 1]);
     });
 
     await check('what is no recording is told', async () => {

@@ -8,7 +8,7 @@ use tidemap_map::{
     name::MapName,
     snapshot::ProducerMark,
     spec::MapSpec,
-    view::MapView,
+    view::{MapView, NotLearned},
 };
 use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone, time::HALF_LIFE_MIN_NANOS};
 
@@ -126,7 +126,19 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         models: enabled_to_wire(spec.models),
         real_clock: spec.has_real_clock,
         ahead_observations: view.ahead(),
+        not_learned: view.not_learned().as_ref().map(not_learned_to_wire),
     }
+}
+
+/// The data that an update would learn, for the wire.
+fn not_learned_to_wire(waiting: &NotLearned) -> v1::NotLearned {
+    v1::NotLearned { observations: waiting.observations, scans: waiting.scans, all: waiting.is_all }
+}
+
+/// The data that an update would learn.
+#[must_use]
+pub fn not_learned_from_wire(waiting: &v1::NotLearned) -> NotLearned {
+    NotLearned { observations: waiting.observations, scans: waiting.scans, is_all: waiting.all }
 }
 
 /// The last update, for the wire.

@@ -48,6 +48,17 @@ pub struct MapView {
     pub(crate) grid: Option<GridView>,
 }
 
+/// The number of observations and scans that an update would learn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotLearned {
+    /// Number of observations.
+    pub observations: u64,
+    /// Number of scans.
+    pub scans: u64,
+    /// Whether no update has learned anything of the map.
+    pub is_all: bool,
+}
+
 impl MapView {
     /// The fixed properties of the map.
     pub fn spec(&self) -> &MapSpec {
@@ -87,6 +98,18 @@ impl MapView {
     /// Observations that no update has learned yet.
     pub fn pending(&self) -> u64 {
         self.pending
+    }
+
+    /// The data that an update would learn now, without the data that waits ahead of the clock. `None`: there is none.
+    pub fn not_learned(&self) -> Option<NotLearned> {
+        let (scans, pending_scans, scans_ahead) =
+            self.grid().map_or((0, 0, 0), |grid| (grid.scans(), grid.pending_scans(), grid.scans_ahead()));
+        let waiting = NotLearned {
+            observations: self.pending.saturating_sub(self.ahead),
+            scans: pending_scans.saturating_sub(scans_ahead),
+            is_all: self.pending == self.observations && pending_scans == scans,
+        };
+        (waiting.observations > 0 || waiting.scans > 0).then_some(waiting)
     }
 
     /// Pending rows of changes or events for which the update that took them had no room: they represent too many

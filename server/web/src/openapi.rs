@@ -215,13 +215,13 @@ fn recordings() -> Value {
             },
         })
     };
-    let [producer, bytes] = recordings::PARAMETERS;
+    let [producer, update, bytes] = recordings::PARAMETERS;
     let mut post = operation(
         "Imports a recording of a robot, as `tidemap import` does: MCAP, a bag of ROS 1, or a database of rosbag2. The \
-         map is created if it does not exist. The same file again, under the same name, sends what is missing. The \
+         map is created if it does not exist, and learns the recording. The same file again, under the same name, sends what is missing. The \
          caller must have the permission to send observations of the map, and to create it if it does not exist. One \
          recording is imported at a time; the import ends when the connection does.",
-        std::slice::from_ref(producer),
+        &[*producer, *update],
         (
             "application/x-ndjson",
             "One object a line: `line`, a text; `progress`, with the `seconds` since the import began; at the end \

@@ -62,11 +62,18 @@ const PROGRAM: &str = "tidemap";
 const PRODUCER: &str = "upload";
 
 /// The parameters of the address.
-pub(super) const PARAMETERS: &[Parameter; 2] = &[
+pub(super) const PARAMETERS: &[Parameter; 3] = &[
     Parameter {
         name: "producer",
         description: "Name of the producer that the observations are of. A file that is sent again under the same name \
                       is recognised if its producer is the same. Default: `upload`.",
+        example: "",
+    },
+    Parameter {
+        name: "update",
+        description: "`false` leaves out the update that ends the import, in which the map learns what was imported; \
+                      for all but the last of several files. Default: `true`. A sender whose role may not run updates \
+                      has it left out, with a line that states it.",
         example: "",
     },
     Parameter {
@@ -131,6 +138,8 @@ struct Upload {
     map_exists: bool,
     file: String,
     key: ProducerKey,
+    /// Whether an update ends the import.
+    has_update: bool,
     turn: Turn,
     /// Counts the request while it is worked on.
     admitted: Admitted,
@@ -148,6 +157,11 @@ impl Inner {
         let file = file_name(&file)?;
         // All files of one name have one label, so that a file that is sent again is recognised.
         let key = ProducerKey::new(given.get("producer").unwrap_or(PRODUCER), &format!("upload/{file}"))?;
+        let has_update = match given.get("update") {
+            None | Some("true") => true,
+            Some("false") => false,
+            Some(_) => return Err(UploadError::Update),
+        };
         admitted.caller().clone().scope(async { check_sender(map.as_str(), key.producer()) }).await?;
         let map_exists = self.map_exists(&map, head).await?;
         let program = program()?;
@@ -157,7 +171,7 @@ impl Inner {
         let peer = head.extensions.get::<Remote>().map_or(Peer::Local, Remote::peer);
         let turn = self.turns.take(&map, peer, admitted.caller().token_id())?;
         check_room(&self.folder, bytes)?;
-        Ok(Upload { program, map, map_exists, file, key, turn, admitted })
+        Ok(Upload { program, map, map_exists, file, key, has_update, turn, admitted })
     }
 
     /// Whether the map exists; if it does not, checks that its sender may create it.
@@ -258,6 +272,7 @@ async fn import(inner: &Inner, names: (String, String), request: Request) -> Res
         }
     };
     let origin = Origin { services: inner.services.clone(), access: inner.access.clone(), stopping };
-    let import = Import { program: upload.program, map: upload.map, key: upload.key, token, bytes, place, origin };
+    let Upload { program, map, key, has_update, .. } = upload;
+    let import = Import { program, map, key, has_update, token, bytes, place, origin };
     Ok(Body::from_stream(ReceiverStream::new(import.start(upload.admitted))))
 }

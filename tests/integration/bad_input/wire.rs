@@ -1,5 +1,6 @@
 //! Single bad observations: each is refused with its number and its reason; its neighbours are kept.
 
+use tidemap_client::maps::NotLearned;
 use tidemap_proto::v1::{Refusal, RefusalReason};
 use tidemap_tests::{
     cli,
@@ -71,9 +72,12 @@ async fn observations_ahead_of_the_clock_are_kept_and_wait() {
         .await;
     check(&stream.acknowledged(2).await.expect("the stream goes on"), &[]);
     let client = daemon.client();
+    let waiting = client.map("office").await.expect("the map").not_learned;
+    assert_eq!(waiting, Some(NotLearned { observations: 1, scans: 0, is_all: true }));
     run_update(&client, "office", None).await;
     let map = client.map("office").await.expect("the map");
     assert_eq!((map.observations, map.pending_observations, map.ahead_observations), (2, 1, 1));
+    assert_eq!(map.not_learned, None, "an update leaves what is ahead");
     assert_eq!(cli::tidemap(&daemon, ["map", "show", "office"]).table().column("ahead"), ["1"]);
     let nothing_new =
         cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "other"], "time,state,value\n");

@@ -126,6 +126,24 @@ fn a_recording_is_imported_once_and_its_file_is_gone() {
 }
 
 #[test]
+fn a_map_learns_a_recording_when_it_is_imported() {
+    let (_data, daemon) = started();
+    let waiting = || {
+        let found = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "flat" }));
+        found.json()["map"]["notLearned"].clone()
+    };
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/first.bag?update=false", &[], &door(40)));
+    assert_eq!((exit, printed.contains("learned")), (0, false), "{printed}");
+    assert_eq!(waiting(), json!({ "observations": "40", "scans": "0", "all": true }));
+    let (printed, exit) = imported(&send(&daemon, "flat/recordings/second.bag", &[], &door(10)));
+    assert_eq!(exit, 0, "{printed}");
+    assert!(printed.contains("map \"flat\" has learned 50 observations, in "), "{printed}");
+    assert_eq!(waiting(), Value::Null);
+    let wrong = send(&daemon, "flat/recordings/third.bag?update=maybe", &[], &door(10));
+    refused(&wrong, 400, "INVALID_FIELD", &["update", "true or false"]);
+}
+
+#[test]
 fn what_is_no_recording_is_an_error_and_makes_no_map() {
     let (data, daemon) = started();
     let (printed, exit) = imported(&send(&daemon, "flat/recordings/noise.bag", &[], &[7; 5000]));
@@ -146,7 +164,12 @@ fn what_is_no_recording_is_an_error_and_makes_no_map() {
     refused(&send(&daemon, &long, &[], b"a"), 400, "INVALID_FIELD", &["204 bytes", "120"]);
     let plain = request(&daemon.http, "POST", "/api/v1/maps/flat/recordings/a.bag", &[], b"a");
     refused(&plain, 415, "MEDIA_TYPE", &["application/octet-stream"]);
-    refused(&check(&daemon, "flat/recordings/a.bag?size=1", &[]), 400, "INVALID_FIELD", &["size", "producer, bytes"]);
+    refused(
+        &check(&daemon, "flat/recordings/a.bag?size=1", &[]),
+        400,
+        "INVALID_FIELD",
+        &["size", "producer, update, bytes"],
+    );
     refused(&check(&daemon, "flat/recordings/a.bag?bytes=many", &[]), 400, "INVALID_FIELD", &["bytes"]);
     let evil = [("origin", "https://evil.example")];
     refused(&send(&daemon, "flat/recordings/a.bag", &evil, b"a"), 403, "FOREIGN_REQUEST", &[]);

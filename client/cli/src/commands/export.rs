@@ -11,8 +11,13 @@ mod recording;
 
 use std::{path::Path, process::ExitCode};
 
-use super::{Session, UsageError, files, usage};
-use tidemap_formats::table::Cell;
+use super::{
+    Session, UsageError, files,
+    grid::scan_ends::{self, FileScanEnds},
+    usage,
+};
+use crate::progress::status_line;
+use tidemap_formats::table::{Cell, Format};
 
 pub(crate) use args::ExportArgs;
 
@@ -32,6 +37,8 @@ struct Written {
     path: String,
     content: &'static str,
     count: u64,
+    /// The cells in which scans ended, in a map or a keepout mask.
+    scan_ends: Option<FileScanEnds>,
 }
 
 fn kind(path: &Path) -> Result<ExportKind, UsageError> {
@@ -59,8 +66,18 @@ pub(crate) async fn run(session: &Session, args: ExportArgs) -> anyhow::Result<E
             )));
         }
     };
-    let row = |Written { path, content, count }| vec![Cell::Text(path), content.into(), count.into()];
-    session.print(&["out", "content", "count"], written.into_iter().map(row))
+    let image = args.path.with_extension("pgm").display().to_string();
+    let lines: Vec<String> = written.iter().filter_map(|file| Some(file.scan_ends?.line(&image))).collect();
+    // In a table the line has the numbers.
+    let has_columns = session.format != Format::Table && !lines.is_empty();
+    let columns = ["out", "content", "count"].into_iter().chain(scan_ends::COLUMNS.into_iter().filter(|_| has_columns));
+    let row = |Written { path, content, count, scan_ends }| {
+        let ends = scan_ends.filter(|_| has_columns).map_or_else(Vec::new, |ends: FileScanEnds| ends.cells());
+        [vec![Cell::Text(path), content.into(), count.into()], ends].concat()
+    };
+    session.print(&columns.collect::<Vec<_>>(), written.into_iter().map(row))?;
+    lines.iter().for_each(|line| status_line(line));
+    Ok(ExitCode::SUCCESS)
 }
 
 #[cfg(test)]

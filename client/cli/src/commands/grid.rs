@@ -4,10 +4,12 @@
 
 pub(super) mod cell_masks;
 mod changed;
+mod compare;
 mod file_times;
 mod observe;
 pub(super) mod place;
 pub(crate) mod predict;
+pub(super) mod scan_ends;
 mod scans;
 pub(super) mod sensor;
 
@@ -37,6 +39,12 @@ pub(crate) enum GridCommand {
     /// A cell is listed while its change alarm is active: its predictions have been worse than before, day after day.
     /// See model show for one cell.
     Changed(changed::GridChangedArgs),
+    /// Compares the map at a time with a map of a ROS map server, cell by cell
+    ///
+    /// Counts the occupied cells of each that are occupied in the other, within a cell: cells of different sizes are
+    /// compared in metres. A cell of the map is occupied from a probability of 0.65 on, and free up to 0.25. A file
+    /// that is turned (the yaw of its origin is not 0) is refused.
+    Compare(compare::GridCompareArgs),
 }
 
 pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Result<ExitCode> {
@@ -44,6 +52,7 @@ pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Resu
         GridCommand::Observe(args) => observe::run(session, args).await,
         GridCommand::Predict(args) => predict::run(session, args).await,
         GridCommand::Changed(args) => changed::run(session, args).await,
+        GridCommand::Compare(args) => compare::run(session, args).await,
     }
 }
 

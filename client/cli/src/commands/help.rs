@@ -40,6 +40,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("import", "tidemap import office monday.bag --list"),
     ("grid observe", "tidemap grid observe office scan.pcd --at 2025-03-18T10:00:00Z --pose 0,0,0.5,0,0,0,1"),
     ("grid predict", "tidemap grid predict office --at 2025-03-18T10:00:00Z --z 0.1:1.8 --picture ten.png"),
+    ("grid compare", "tidemap grid compare office ros-map.yaml --at 2025-03-18T10:00:00Z"),
     ("grid changed", "tidemap grid changed office --region=-5:5,0:8 --z 0.1:1.8"),
     ("traverse", "tidemap traverse office runs.csv --producer robot-1"),
     ("visit", "tidemap visit office 1,-1 --reached false"),

@@ -2,12 +2,14 @@
 //!
 //! Invariant: the number of an observation among the observations of the recordings is its sequence number, so the same
 //! command can run any number of times, and the observations that the daemon has are compared and not sent again.
-//! Nothing is sent before all files were read once and the plan is complete.
+//! Nothing is sent before all files were read once and the plan is complete. An update follows only when everything is
+//! durable.
 
 mod counts;
 mod feed;
 mod files;
 mod grid;
+mod learn;
 mod list;
 mod prepare;
 mod transfer;
@@ -24,12 +26,14 @@ use tidemap_recordings::{
     survey::{PoseSource, Surveyed},
 };
 
-use self::{counts::TopicCounts, files::Recording, prepare::Prepared, transfer::ImportTransfer};
+use self::{counts::TopicCounts, files::Recording, learn::LearnEnd, prepare::Prepared, transfer::ImportTransfer};
 use super::{
     Session,
     grid::sensor,
     map::grid_spec::GridArg,
-    observe::{SenderArgs, base_name, exit_code, free_label, open_stream, run_transfer, transfer::TransferEnd},
+    observe::{
+        INTERRUPTED, SenderArgs, base_name, exit_code, free_label, open_stream, run_transfer, transfer::TransferEnd,
+    },
     times, usage,
 };
 use crate::{
@@ -97,6 +101,9 @@ pub(crate) struct ImportArgs {
     /// Between two transforms that differ and are further apart than this, nothing has a place [default: 2s]
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
     transform_gap: Option<i64>,
+    /// Leaves out the update that ends the import, in which the map learns what was imported
+    #[arg(long)]
+    no_update: bool,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensors, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
@@ -226,6 +233,10 @@ async fn send(session: &Session, args: ImportArgs, planned: Planned) -> anyhow::
         String::new()
     };
     let shown = args.files.first().map(|file| file.display().to_string()).unwrap_or_default();
+    let is_whole = matches!(end, TransferEnd::Whole);
     let code = exit_code(end, &transfer.report, &options, &shown, &what_to_do)?;
+    if is_whole && !args.no_update && learn::learn(session, &args.map).await? == LearnEnd::Interrupted {
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
     Ok(if code == ExitCode::SUCCESS && transfer.counts().has_refused() { ExitCode::FAILURE } else { code })
 }

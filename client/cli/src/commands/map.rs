@@ -7,15 +7,17 @@ pub(crate) mod grid_spec;
 use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
-use tidemap_client::maps::{EnabledModels, GridSpec, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention};
+use tidemap_client::maps::{
+    EnabledModels, GridSpec, Map, NewMap, NotLearned, OrderCriterion, PeriodicityDefinition, Retention,
+};
 use tidemap_formats::table::{Cell, Format};
 use tidemap_model::time::format_duration;
 
 use self::grid_spec::{GridArg, box_text, retention_text, spec_text};
 
-use super::{Session, point::Point, times, usage};
+use super::{Session, point::Point, shell_word::quoted, times, usage};
 
-use crate::progress::status_line;
+use crate::{counted::some_of, progress::status_line};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum MapCommand {
@@ -160,7 +162,7 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Additional columns of a single map.
-const MORE_COLUMNS: [&str; 15] = [
+const MORE_COLUMNS: [&str; 18] = [
     "retention",
     "grid",
     "grid_retention",
@@ -176,6 +178,9 @@ const MORE_COLUMNS: [&str; 15] = [
     "grid_half_life",
     "ahead",
     "ahead_scans",
+    "not_learned",
+    "not_learned_scans",
+    "learn_with",
 ];
 
 pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
@@ -223,7 +228,15 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         let clock = (session.format == Format::Table).then_some(if map.has_real_clock { "real" } else { "any" });
         let columns = columns.into_iter().chain(clock.map(|_| "clock")).collect::<Vec<_>>();
         let cells = row(map.clone()).into_iter().chain(clock.map(Cell::from)).collect();
-        return session.print_one(&columns, cells);
+        session.print_one(&columns, cells)?;
+        if let Some(waiting) = never_learned(map).filter(|_| session.format == Format::Table) {
+            let what = some_of(&[(waiting.scans, "scan"), (waiting.observations, "observation")]);
+            status_line(&format!(
+                "not learned yet: {what}. There are no predictions before the first update: {}",
+                update_command(&map.name)
+            ));
+        }
+        return Ok(ExitCode::SUCCESS);
     }
     let damaged = unavailable.into_iter().map(|map| {
         let mut row = vec![Cell::Empty; COLUMNS.len() + 1];
@@ -303,6 +316,15 @@ fn cells(map: Map) -> Vec<Cell> {
     ]
 }
 
+/// The data that waits for the first update of a map; `None`: an update has learned something, or there is no data.
+fn never_learned(map: &Map) -> Option<NotLearned> {
+    map.not_learned.filter(|waiting| waiting.is_all)
+}
+
+fn update_command(map: &str) -> String {
+    format!("tidemap update {}", quoted(map))
+}
+
 fn more_cells(map: &Map) -> Vec<Cell> {
     let text = |text: Option<String>| text.map_or(Cell::Empty, Cell::Text);
     let (grid, summary) = (map.grid.as_ref(), map.grid_summary.as_ref());
@@ -322,5 +344,8 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
         map.ahead_observations.into(),
         Cell::maybe(summary.map(|summary| summary.ahead_scans)),
+        map.not_learned.map_or(0, |waiting| waiting.observations).into(),
+        Cell::maybe(summary.map(|_| map.not_learned.map_or(0, |waiting| waiting.scans))),
+        text(never_learned(map).map(|_| update_command(&map.name))),
     ]
 }

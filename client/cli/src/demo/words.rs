@@ -2,18 +2,7 @@
 //!
 //! Invariant: pure functions.
 
-/// A number with commas between thousands.
-pub(super) fn count(number: u64) -> String {
-    let digits = number.to_string();
-    let mut text = String::new();
-    for (at, digit) in digits.chars().enumerate() {
-        if at > 0 && (digits.len() - at).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
+pub(super) use crate::counted::count;
 
 /// Compares the mean squared errors of a forecast and of the mean model.
 pub(super) fn comparison(error: f64, mean_error: f64) -> String {
@@ -32,14 +21,6 @@ pub(super) fn comparison(error: f64, mean_error: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn counts_have_commas() {
-        assert_eq!(
-            ["0", "999", "1,000", "1,234,567"],
-            [0, 999, 1000, 1_234_567].map(count).each_ref().map(String::as_str)
-        );
-    }
 
     #[test]
     fn errors_are_compared_in_words() {

@@ -19,6 +19,8 @@ pub(super) struct Image {
     pub max: u16,
     /// The pixels, the top row first.
     pub values: Vec<u16>,
+    /// Whether each pixel is transparent, at least in part; empty: none is.
+    pub transparent: Vec<bool>,
 }
 
 /// Reads an image.
@@ -31,7 +33,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
                 FilePlace::Byte(0),
                 "the start of the image",
                 shown_start(bytes),
-                "\"P2\" or \"P5\", as in a PGM file; convert other images to PGM",
+                "\"P2\" or \"P5\", as in a PGM file, or a PNG file; convert other images to PGM",
             ));
         }
     };
@@ -83,7 +85,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Image, FormatError> {
     if !behind.is_empty() {
         return Err(FormatError::trailing(words.at as u64, behind.len() as u64, "the last pixel"));
     }
-    Ok(Image { width, height, max, values })
+    Ok(Image { width, height, max, values, transparent: Vec::new() })
 }
 
 /// The words of a header, or of an image that is text.

@@ -3,7 +3,7 @@
 //! Invariant: read back by this crate or by a map server, every cell has the value of its thresholds (mode trinary) or
 //! its probability to half a percent (modes raw and scale), and unknown cells stay unknown.
 
-use super::GridMode;
+use super::{GridCell, GridMode};
 use crate::{MapPicture, PictureCell, PictureError};
 
 /// The pixels of mode trinary, as map savers write them.
@@ -36,6 +36,17 @@ impl Default for Thresholds {
     }
 }
 
+impl Thresholds {
+    /// The cell that a map server shows in mode trinary for a value; `None`: the value is unknown.
+    pub(super) fn cell(self, value: Option<f64>) -> GridCell {
+        match value.map(percent) {
+            Some(value) if value <= percent(self.free) => GridCell::Free,
+            Some(value) if value >= percent(self.occupied) => GridCell::Occupied,
+            _ => GridCell::Unknown,
+        }
+    }
+}
+
 /// Both files; the YAML file refers to the image by `image_name`. The thresholds apply to mode trinary only.
 pub fn write(
     picture: &MapPicture,
@@ -53,9 +64,11 @@ pub fn write(
         return Err(PictureError::UnknownInScale { cell });
     }
     let pixel = |cell: &PictureCell| match (mode, picture.value_of(*cell).map(f64::from)) {
-        (GridMode::Trinary, Some(value)) if percent(value) <= percent(free) => FREE,
-        (GridMode::Trinary, Some(value)) if percent(value) >= percent(occupied) => OCCUPIED,
-        (GridMode::Trinary, _) => UNKNOWN,
+        (GridMode::Trinary, value) => match thresholds.cell(value) {
+            GridCell::Free => FREE,
+            GridCell::Occupied => OCCUPIED,
+            GridCell::Unknown | GridCell::Between { .. } => UNKNOWN,
+        },
         (GridMode::Raw, Some(value)) => percent(value),
         (GridMode::Raw | GridMode::Scale, None) => u8::MAX,
         (GridMode::Scale, Some(value)) => byte((1.0 - value) * 255.0),

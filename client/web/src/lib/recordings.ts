@@ -97,11 +97,11 @@ export interface Hearer {
 }
 
 /**
- * Sends a file. The answer is the exit status of its import: 0 if all was taken.
+ * Sends a file, after which the map learns it if `update` is set. The answer is the exit status of its import: 0 if all was taken.
  *
  * Throws `Refused`, an `AbortError` if the signal ends it, or a `TypeError` if the connection breaks.
  */
-export function send(map: string, file: File, producer: string, headers: Record<string, string>, hearer: Hearer, signal: AbortSignal): Promise<number> {
+export function send(map: string, file: File, producer: string, update: boolean, headers: Record<string, string>, hearer: Hearer, signal: AbortSignal): Promise<number> {
     return new Promise((done, failed) => {
         // fetch does not report how much of a file is sent.
         const request = new XMLHttpRequest();
@@ -114,7 +114,7 @@ export function send(map: string, file: File, producer: string, headers: Record<
                 hearer.said(said);
             }
         };
-        request.open('POST', pathFor(map, file.name, { producer }));
+        request.open('POST', pathFor(map, file.name, { producer, update: String(update) }));
         for (const [name, value] of Object.entries({ ...headers, 'content-type': 'application/octet-stream' })) request.setRequestHeader(name, value);
         request.upload.onprogress = (event) => hearer.sent(event.total ? event.loaded / event.total : 0);
         request.upload.onload = () => hearer.sent(1);

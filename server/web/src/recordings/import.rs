@@ -86,6 +86,8 @@ pub(super) struct Import {
     pub(super) program: PathBuf,
     pub(super) map: MapName,
     pub(super) key: ProducerKey,
+    /// Whether an update ends the import.
+    pub(super) has_update: bool,
     /// The token with which the program proves the identity of its sender.
     pub(super) token: Option<String>,
     /// Size of the file.
@@ -205,6 +207,7 @@ impl Import {
             .args(["import", "--output", "table", "--patience", "10s"])
             .arg(format!("--producer={}", self.key.producer()))
             .arg(format!("--label={}", self.key.label()))
+            .args((!self.has_update).then_some("--no-update"))
             // A name that begins with a dash is not an option.
             .args(["--", self.map.as_str(), self.place.file()])
             .current_dir(self.place.recording_folder())

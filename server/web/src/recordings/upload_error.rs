@@ -25,6 +25,8 @@ pub(super) enum UploadError {
     Parameters(Box<Failure>),
     #[error("parameter bytes is the size of the file, a number of bytes")]
     Bytes,
+    #[error("parameter update is true or false")]
+    Update,
     #[error("map {map} does not exist, and this sender may not create it: {error}")]
     NotCreated { map: MapName, error: Box<RpcError> },
     #[error("this daemon accepts no recordings over HTTP (setting max_upload_bytes is 0): use tidemap import")]
@@ -95,7 +97,7 @@ impl UploadError {
             Self::NotCreated { .. } => (StatusCode::FORBIDDEN, "PERMISSION_DENIED", "NEEDS_ROLE"),
             Self::Off => (StatusCode::NOT_IMPLEMENTED, "UNIMPLEMENTED", "UPLOADS_OFF"),
             Self::NoProgram(_) => (StatusCode::NOT_IMPLEMENTED, "UNIMPLEMENTED", "NO_PROGRAM"),
-            Self::Bytes | Self::Name(_) | Self::FileName(_) | Self::LongName { .. } => {
+            Self::Bytes | Self::Update | Self::Name(_) | Self::FileName(_) | Self::LongName { .. } => {
                 (StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "INVALID_FIELD")
             }
             Self::Empty => (StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "EMPTY"),

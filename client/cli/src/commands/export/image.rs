@@ -8,7 +8,10 @@ use tidemap_formats::{
 };
 
 use super::{
-    super::{Session, files},
+    super::{
+        Session, files,
+        grid::scan_ends::{FileScanEnds, ShownAs},
+    },
     ExportArgs, Written,
     args::Mask,
     frames,
@@ -23,8 +26,12 @@ const SLOWEST: f64 = 0.2;
 pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64) -> anyhow::Result<Vec<Written>> {
     let grid = frames::grid(session, &args.options(), time_nanos).await?;
     let image_path = args.path.with_extension("pgm");
-    let (picture, mode, content) = match args.mask {
-        None => (grid.picture, GridMode::Trinary, "map"),
+    let thresholds = Thresholds::default();
+    let (picture, mode, content, scan_ends) = match args.mask {
+        None => {
+            let ends = nav2::in_map(&grid.picture, thresholds);
+            (grid.picture, GridMode::Trinary, "map", Some(FileScanEnds { ends, kind: ShownAs::Map(thresholds) }))
+        }
         Some(Mask::Keepout) => {
             let areas = frames::areas(session, &args.map).await?;
             let (names, corners): (Vec<_>, Vec<_>) = areas.into_iter().unzip();
@@ -33,17 +40,22 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
                     status_line(&format!("no-go area {name} reaches beyond the map: that part is not in the mask"));
                 }
             }
-            let mask = nav2::keepout(&grid.picture, &corners, args.occupied.unwrap_or(OCCUPIED))?;
-            (mask, GridMode::Trinary, "keepout")
+            let occupied_from = args.occupied.unwrap_or(OCCUPIED);
+            let mask = nav2::keepout(&grid.picture, &corners, occupied_from)?;
+            let ends = nav2::in_keepout(&grid.picture, &mask);
+            let ends = FileScanEnds { ends, kind: ShownAs::Keepout(occupied_from) };
+            (mask, GridMode::Trinary, "keepout", Some(ends))
         }
-        Some(Mask::Speed) => (nav2::speed(&grid.picture, args.slowest.unwrap_or(SLOWEST))?, GridMode::Raw, "speed"),
+        Some(Mask::Speed) => {
+            (nav2::speed(&grid.picture, args.slowest.unwrap_or(SLOWEST))?, GridMode::Raw, "speed", None)
+        }
     };
     let name = image_path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let map = nav2::write(&picture, &name, mode, Thresholds::default())?;
+    let map = nav2::write(&picture, &name, mode, thresholds)?;
     files::replace(&image_path, &map.image)?;
     files::replace(&args.path, &map.yaml)?;
     let known = picture.cells.iter().filter(|cell| **cell != PictureCell::Unknown).count() as u64;
-    Ok(vec![Written { path: args.path.display().to_string(), content, count: known }])
+    Ok(vec![Written { path: args.path.display().to_string(), content, count: known, scan_ends }])
 }
 
 /// Whether a place is on a map.

@@ -17,7 +17,10 @@ use tidemap_client::{
 
 use tonic::Code;
 
-use super::place::{AxisRange, Rectangle, cells, corner_m};
+use super::{
+    place::{AxisRange, Rectangle, cells, corner_m},
+    scan_ends::{self, FileScanEnds, ShownAs},
+};
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times::RequestedTimesArgs, usage},
     output,
@@ -160,6 +163,14 @@ impl GridPredictArgs {
         }
     }
 
+    fn pgm_mode(&self) -> nav2::GridMode {
+        match (self.pgm_mode, self.entropy) {
+            (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
+            (Some(PgmMode::Scale), _) => nav2::GridMode::Scale,
+            (Some(PgmMode::Trinary), _) | (None, false) => nav2::GridMode::Trinary,
+        }
+    }
+
     fn value(&self) -> PictureValue {
         match self.threshold {
             Some(threshold) => PictureValue::AtLeast(threshold),
@@ -219,7 +230,18 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
-    put(session, path, &picture, predicted.header.generation)
+    let ends = scan_ends(kind, &args, &picture);
+    put(session, (path, ends), &picture, predicted.header.generation)
+}
+
+/// The cells in which scans ended, in a .pgm file of mode trinary.
+fn scan_ends(kind: OutputKind, args: &GridPredictArgs, picture: &MapPicture) -> Option<FileScanEnds> {
+    if kind != OutputKind::Pgm || args.pgm_mode() != nav2::GridMode::Trinary || args.entropy {
+        return None;
+    }
+    let thresholds = nav2::Thresholds::default();
+    let kind = args.threshold.map_or(ShownAs::Map(thresholds), ShownAs::AtLeast);
+    Some(FileScanEnds { ends: nav2::in_map(picture, thresholds), kind })
 }
 
 /// The whole prediction of a query.
@@ -239,7 +261,12 @@ pub(crate) async fn predicted(session: &Session, query: &GridQuery) -> anyhow::R
 }
 
 /// Prints a message about the written file, or the drawing in the terminal.
-fn put(session: &Session, path: Option<&Path>, picture: &MapPicture, generation: u64) -> anyhow::Result<ExitCode> {
+fn put(
+    session: &Session,
+    (path, scan_ends): (Option<&Path>, Option<FileScanEnds>),
+    picture: &MapPicture,
+    generation: u64,
+) -> anyhow::Result<ExitCode> {
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
     let known = count(|cell| *cell != PictureCell::Unknown);
     let changing = count(|cell| matches!(cell, PictureCell::Changing { .. }));
@@ -248,16 +275,21 @@ fn put(session: &Session, path: Option<&Path>, picture: &MapPicture, generation:
         status_line(&format!("{all} cells, {known} known, {changing} with a model; --out FILE writes them to a file"));
         return Ok(ExitCode::SUCCESS);
     };
-    session.print(
-        &["out", "cells", "known", "changing", "generation"],
-        [vec![
-            Cell::Text(path.display().to_string()),
-            (picture.cells.len() as u64).into(),
-            known.into(),
-            changing.into(),
-            generation.into(),
-        ]],
-    )
+    // In a table the line has the numbers.
+    let columns = scan_ends.filter(|_| session.format != Format::Table);
+    let names = ["out", "cells", "known", "changing", "generation"].into_iter();
+    let names = names.chain(columns.iter().flat_map(|_| scan_ends::COLUMNS)).collect::<Vec<_>>();
+    let mut row = vec![
+        Cell::Text(path.display().to_string()),
+        (picture.cells.len() as u64).into(),
+        known.into(),
+        changing.into(),
+        generation.into(),
+    ];
+    row.extend(columns.iter().flat_map(FileScanEnds::cells));
+    session.print(&names, [row])?;
+    scan_ends.iter().for_each(|ends| status_line(&ends.line(&path.display().to_string())));
+    Ok(ExitCode::SUCCESS)
 }
 
 /// An error of the daemon; with advice, if the request was for many cells.
@@ -399,13 +431,8 @@ fn write(
         OutputKind::Ply => files::write(out, ply::write(picture)?),
         OutputKind::Bt => files::write(out, octomap::write(picture)?),
         OutputKind::Pgm => {
-            let mode = match (args.pgm_mode, args.entropy) {
-                (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
-                (Some(PgmMode::Scale), _) => nav2::GridMode::Scale,
-                (Some(PgmMode::Trinary), _) | (None, false) => nav2::GridMode::Trinary,
-            };
             let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            let map = nav2::write(picture, &name, mode, nav2::Thresholds::default())?;
+            let map = nav2::write(picture, &name, args.pgm_mode(), nav2::Thresholds::default())?;
             files::write(out, &map.image)?;
             files::write(&out.with_extension("yaml"), &map.yaml)
         }

@@ -225,7 +225,7 @@ fn cloud(points: PointFile, options: &ScanOptions) -> anyhow::Result<PointCloud>
 
 /// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it; and its settings. An
 /// error names the file if it is not `file`.
-fn plane(file: &Path, is_205_unknown: bool) -> anyhow::Result<(nav2::Grid, nav2::GridSettings)> {
+pub(super) fn plane(file: &Path, is_205_unknown: bool) -> anyhow::Result<(nav2::Grid, nav2::GridSettings)> {
     let (mut settings, image_path) = plane_files(file)?;
     settings.is_205_unknown = is_205_unknown;
     let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);

@@ -74,7 +74,7 @@ pub(super) async fn run(
         status_line(&changed(first, second, [before, after]));
     }
     match (panels.first(), path) {
-        (Some((_, first)), Some(_)) => put(session, path, first, generation),
+        (Some((_, first)), Some(_)) => put(session, (path, None), first, generation),
         _ => {
             status_line("--picture FILE.png draws them in a file");
             Ok(ExitCode::SUCCESS)
