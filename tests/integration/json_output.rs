@@ -250,7 +250,7 @@ fn check_grid_and_exploration(checked: &mut Checked, folder: &str) {
     let exported = checked.run("export", &format!("home {folder}/noon.yaml --at {NOON} --mask speed"));
     assert_eq!((&exported[0]["content"], exported.as_array().map(Vec::len)), (&"speed".into(), Some(1)));
     let exported = checked.run("export", &format!("home {folder}/map.yaml --at {NOON}"));
-    assert!(exported[0]["scan_ends"].is_u64(), "{exported}");
+    assert!(exported[0]["ever_occupied"].is_u64(), "{exported}");
     checked.run("grid predict", &format!("home --at {NOON} --out {folder}/map-too.pgm"));
     let compared = checked.run("grid compare", &format!("home {folder}/map.yaml --at {NOON}"));
     assert_eq!(compared[0]["file_occupied"], compared[0]["map_found"]);

@@ -21,10 +21,10 @@
 //! Invariant: rows of a [`Grid`] go upwards, rows of the image downwards; a grid has one cell for each pixel.
 
 mod compare;
+mod ever_occupied;
 mod image;
 mod mask;
 mod pgm;
-mod scan_ends;
 mod settings;
 #[cfg(test)]
 mod tests;
@@ -33,8 +33,8 @@ mod write;
 use super::error::{FilePlace, FormatError};
 
 pub use compare::{Agreement, NotComparable, SideCounts, compare};
+pub use ever_occupied::{EverOccupied, in_keepout, in_map};
 pub use mask::{keepout, speed};
-pub use scan_ends::{ScanEnds, in_keepout, in_map};
 pub use settings::{GridMode, GridSettings, read_settings};
 pub use write::{Thresholds, write};
 

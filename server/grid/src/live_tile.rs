@@ -69,11 +69,11 @@ pub struct LiveTile {
     pub(crate) joined: Option<u64>,
 }
 
-/// How the readings of a scan count.
+/// The rule by which the readings of a scan count.
 #[derive(Clone, Copy)]
 pub(crate) struct ReadingRule<'a> {
     pub(crate) sensors: &'a Sensors,
-    /// What they add to the newest evidence; `None` where readings count as they are.
+    /// The steps that they add to the newest evidence; `None` where readings count as they are.
     pub(crate) steps: Option<OddsSteps>,
 }
 
@@ -83,7 +83,7 @@ pub(crate) struct ReadingRule<'a> {
 pub struct ScanRun {
     pub(crate) count: u64,
     pub(crate) newest_nanos: i64,
-    /// What the readings of its scans add to the newest evidence; `None` where readings count as they are.
+    /// The steps that its readings add to the newest evidence; `None` where readings count as they are.
     pub(crate) steps: Option<OddsSteps>,
 }
 

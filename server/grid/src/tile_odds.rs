@@ -16,9 +16,9 @@ use crate::{
 
 /// Steps for each unit of log odds.
 const STEPS: f64 = 32.0;
-/// The clamping values of OctoMap: probabilities of .12 and .97.
+/// The lower clamping value of OctoMap: a probability of .12.
 pub const ODDS_MIN: i8 = -64;
-/// See [`ODDS_MIN`].
+/// The upper clamping value of OctoMap: a probability of .97.
 pub const ODDS_MAX: i8 = 112;
 
 /// The log odds of each cell of a tile, in steps.

@@ -146,8 +146,8 @@ struct Tiles<'a> {
 }
 
 impl Tiles<'_> {
-    /// Takes the tiles of a day to change them. Returns the number of tiles without work. Adds to `orders` the orders of
-    /// cells of tiles that no earlier day of the update contained.
+    /// Takes the tiles of a day to change them. Returns the number of tiles without work. Adds to `orders` the orders
+    /// of cells of tiles that no earlier day of the update contained.
     fn take(&mut self, day: &GridDay, orders: &mut CellsByOrder) -> Result<usize, TileUnavailable> {
         let mut skipped = 0;
         for ((id, _), ranges) in day.tiles().zip(day.presence_by_tile()) {

@@ -1,4 +1,4 @@
-//! The cells in which scans ended and that a written map leaves out, and the comparison of a map with one of a ROS map
+//! The cells that were occupied and that a written map leaves out, and the comparison of a map with one of a ROS map
 //! server.
 //!
 //! Invariant: what is expected follows from the points of the scans: four that are always there, a fifth by day, and a
@@ -22,7 +22,7 @@ fn numbers(row: &Value, names: &[&str]) -> Vec<u64> {
     names.iter().map(|name| row[name].as_u64().unwrap_or_else(|| panic!("{name} in {row}"))).collect()
 }
 
-const ENDS: [&str; 3] = ["scan_ends", "scan_ends_free", "scan_ends_unknown"];
+const ENDS: [&str; 3] = ["ever_occupied", "ever_occupied_free", "ever_occupied_unknown"];
 
 #[test]
 fn an_export_states_which_cells_it_leaves_out() {
@@ -35,13 +35,13 @@ fn an_export_states_which_cells_it_leaves_out() {
         assert_eq!((row["free_up_to"].as_f64(), row["occupied_from"].as_f64()), (Some(0.25), Some(0.65)));
     }
     let shown = home.run(&["--output", "table", "export", MAP, &path, "--at", NOON]).stderr;
-    let line = "scans ended in 6 cells: 1 (17 %) of them are free in ";
+    let line = "6 cells were occupied at some time: 1 (17 %) of them are free in ";
     assert!(shown.contains(line) && shown.contains("map.pgm, with a probability up to 0.25"), "{shown}");
 
     let row = json(&home, &["export", MAP, &path, "--at", NOON, "--mask", "keepout", "--occupied", "0.4"]);
     assert_eq!((numbers(&row, &ENDS), row["occupied_from"].as_f64()), (vec![6, 1, 0], Some(0.4)));
     let row = json(&home, &["export", MAP, &path, "--at", NOON, "--mask", "speed"]);
-    assert_eq!(row["scan_ends"], Value::Null);
+    assert_eq!(row["ever_occupied"], Value::Null);
 
     let pgm = home.text("predicted.pgm");
     let row = json(&home, &["grid", "predict", MAP, "--at", NOON, "--out", &pgm]);
@@ -49,7 +49,7 @@ fn an_export_states_which_cells_it_leaves_out() {
     let shown = home.run(&["--output", "table", "grid", "predict", MAP, "--at", NOON, "--out", &pgm]).stderr;
     assert!(shown.contains(line) && shown.contains("predicted.pgm"), "{shown}");
     let row = json(&home, &["grid", "predict", MAP, "--at", NOON, "--out", &pgm, "--pgm-mode", "raw"]);
-    assert_eq!(row["scan_ends"], Value::Null, "a file of probabilities leaves nothing out");
+    assert_eq!(row["ever_occupied"], Value::Null, "a file of probabilities leaves nothing out");
 }
 
 const AGREE: [&str; 6] =

@@ -1,8 +1,7 @@
-//! The naive model of one cell: every reading and every phasor by itself, in f64, after T-RO 2017,
+//! The naive model of one cell: every bin and every phasor by itself, in f64, after T-RO 2017,
 //! equations 10 to 13, with local days scored before they are learned.
 //!
-//! Invariant: only the formulas are shared with the daemon; readings are learned in the order of their
-//! arrival.
+//! Invariant: only the formulas are shared with the daemon.
 
 use std::{collections::BTreeMap, f64::consts::TAU};
 
@@ -39,6 +38,31 @@ fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
 /// Time, weight and value of a reading.
 pub(crate) type Reading = (i64, f64, bool);
 
+/// Length of a bin.
+const BIN_NANOS: i64 = 1_800 * SECOND_NANOS;
+
+/// The bins of a cell before a cut: the mean time of each bin's scans, and the higher of two levels where the log odds
+/// of the cell's readings add up to more than 0. `scans`: the times of all scans of the grid.
+pub(crate) fn bins(scans: &[i64], odds: &[(i64, f64)], cut_nanos: i64, levels: (f64, f64)) -> Vec<Reading> {
+    let mut times: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
+    for &time in scans.iter().filter(|time| **time < cut_nanos) {
+        times.entry(time / BIN_NANOS).or_default().push(time);
+    }
+    let mut sums: BTreeMap<i64, f64> = BTreeMap::new();
+    for (time, odds) in odds.iter().filter(|(time, _)| *time < cut_nanos) {
+        *sums.entry(time / BIN_NANOS).or_default() += odds;
+    }
+    let of_bin = |(bin, odds): (i64, f64)| {
+        let times = &times[&bin];
+        let sum: i128 = times.iter().map(|time| i128::from(*time)).sum();
+        let mean = i64::try_from(sum / times.len() as i128).expect("a time");
+        // Sums of a few equal numbers may miss 0 by their rounding.
+        let is_occupied = odds > 1e-6;
+        (mean, if is_occupied { levels.1 } else { levels.0 }, is_occupied)
+    };
+    sums.into_iter().map(of_bin).collect()
+}
+
 /// A complex sum of each harmonic.
 type Sums = [(f64, f64); HARMONICS];
 
@@ -73,12 +97,12 @@ pub(crate) struct Naive {
 }
 
 impl Naive {
-    /// Learns the readings before the cut, in the order of their arrival.
-    pub(crate) fn new(readings: &[Reading], cut_nanos: i64, phasors: &Phasors) -> Self {
+    /// Learns bins, and remembers readings in the order of their arrival.
+    pub(crate) fn new(readings: &[Reading], bins: &[Reading], phasors: &mut Phasors) -> Self {
+        bins.iter().for_each(|(time, ..)| phasors.add(*time));
         let mut learned = Self { mean: 0.5, ..Self::default() };
         learned.persist(readings);
-        let mut folded: Vec<Reading> = readings.iter().copied().filter(|(time, ..)| *time < cut_nanos).collect();
-        folded.sort_by_key(|(time, ..)| *time);
+        let folded = bins;
         let (mut a, mut b, mut sum) = ([(0.0, 0.0); HARMONICS], [(0.0, 0.0); HARMONICS], 0.0);
         let mut day_before = None;
         // Until a cell has been read as both free and occupied, its mean is its prediction and nothing is scored.

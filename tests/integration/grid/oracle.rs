@@ -12,7 +12,7 @@ use tidemap_tests::{
 
 use super::{
     MAP, grid, model,
-    naive::{Naive, Phasors, Reading},
+    naive::{Naive, Phasors, Reading, bins},
     office, partial_view, predicted, producer, send, summary,
 };
 use tidemap_client::time::format_rfc3339;
@@ -28,17 +28,25 @@ use tidemap_client::{
 #[derive(Default)]
 struct Sent {
     readings: BTreeMap<FilmCell, Vec<Reading>>,
+    /// The time and the log odds of each reading.
+    odds: BTreeMap<FilmCell, Vec<(i64, f64)>>,
     phasors: Phasors,
-    scans: u64,
+    /// The times of the scans.
+    scans: Vec<i64>,
     cell_observations: u64,
 }
 
 impl Sent {
-    /// Records the weights of readings: `levels` for a free and an occupied one.
-    fn note(&mut self, film: &Film, scans: &[(i64, Vec<(TileIndex, TileMasks)>)], levels: (f64, f64)) {
+    /// Records the values of readings: `levels` for a free and an occupied one.
+    fn note(
+        &mut self,
+        film: &Film,
+        scans: &[(i64, Vec<(TileIndex, TileMasks)>)],
+        levels: (f64, f64),
+        odds: (f64, f64),
+    ) {
         for (time, tiles) in scans {
-            self.phasors.add(*time);
-            self.scans += 1;
+            self.scans.push(*time);
             for (tile, masks) in tiles {
                 let slot = film.tiles().iter().position(|known| known == tile).expect("a tile of the film");
                 self.cell_observations += u64::from(masks.observed().count());
@@ -46,6 +54,8 @@ impl Sent {
                     if holds(&masks.observed(), place) {
                         let is_occupied = holds(&masks.occupied(), place);
                         readings.push((*time, if is_occupied { levels.1 } else { levels.0 }, is_occupied));
+                        let of_cell = self.odds.entry((slot, place)).or_default();
+                        of_cell.push((*time, if is_occupied { odds.1 } else { odds.0 }));
                     }
                 }
             }
@@ -59,7 +69,7 @@ fn near(found: f64, expected: f64, what: &str) {
 
 /// Compares the daemon's answers for the cells with the naive model of the readings before the cut; returns the number
 /// of cells whose components were compared.
-async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> usize {
+async fn compare(daemon: &Daemon, film: &Film, sent: &mut Sent, cut_nanos: i64, levels: (f64, f64)) -> usize {
     let client = daemon.client();
     let (from, to) = (film.time(0), film.time(film.scans() - 1));
     let times = [from, from + (to - from) / 3, to - 3_600_000_000_000, to + 8_000_000_000, to + 400_000_000_000_000];
@@ -87,7 +97,8 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
     let (mut compared, mut orders) = (0, 0);
     for (at, (&cell, readings)) in sent.readings.iter().enumerate() {
         let name = &names[at];
-        let expected = Naive::new(readings, cut_nanos, &sent.phasors);
+        let learned = bins(&sent.scans, &sent.odds[&cell], cut_nanos, levels);
+        let expected = Naive::new(readings, &learned, &mut sent.phasors);
         let model_state = client.describe_model(MAP, name).await.expect("a cell");
         assert_eq!(model_state.learned_observations, expected.folded, "{name}");
         assert_eq!(model_state.last_nanos, expected.last.map(|(time, _)| time), "{name}");
@@ -116,7 +127,6 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
         orders += usize::from(expected.order > 0);
         assert_eq!(model_state.order as usize, expected.order, "the order of {name}, by errors {:?}", expected.errors);
         for (found, expected) in model_state.order_errors.iter().zip(expected.errors) {
-            // The daemon predicts the scans of one half-hour bin at their mean time.
             let apart = (found - expected).abs() / (1.0 + expected);
             assert!(apart <= 1e-3, "an error of {name} is {found}, and not {expected}");
         }
@@ -148,14 +158,14 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
     for (from, to) in [(i64::MIN, midnight), (midnight, i64::MAX)] {
         for (producer, scans) in [(&mut one, &whole), (&mut other, &part)] {
             let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
-            sent.note(&film, &of_round, (0.0, 1.0));
+            sent.note(&film, &of_round, (0.0, 1.0), (-1.0, 1.0));
             send(producer, of_round).await;
         }
         run_update(&client, MAP, Some(to).filter(|to| *to < i64::MAX)).await;
         let summary = summary(&daemon).await;
-        assert_eq!((summary.scans, summary.pending_scans), (sent.scans, 0));
+        assert_eq!((summary.scans, summary.pending_scans), (sent.scans.len() as u64, 0));
         assert_eq!(summary.cell_observations, sent.cell_observations);
-        let compared = compare(&daemon, &film, &sent, to).await;
+        let compared = compare(&daemon, &film, &mut sent, to, (0.0, 1.0)).await;
         assert!(compared >= 40, "{compared} cells are too few");
     }
 }
@@ -167,13 +177,22 @@ fn levels(ProducerSensor { hit, false_alarm }: ProducerSensor, prior: f64) -> (f
     (posterior(1.0 - hit, 1.0 - false_alarm), posterior(hit, false_alarm))
 }
 
+/// The log odds of a free and an occupied reading; none is surer than .97.
+fn odds(ProducerSensor { hit, false_alarm }: ProducerSensor) -> (f64, f64) {
+    let odds = |p: f64| {
+        let p = p.clamp(0.03, 0.97);
+        (p / (1.0 - p)).ln()
+    };
+    (odds((1.0 - hit) / (2.0 - hit - false_alarm)), odds(hit / (hit + false_alarm)))
+}
+
 async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<ProducerSensor>) -> Result<Producer, String> {
     let options = ProducerOptions { sensor, ..ProducerOptions::new(name, "", MAP) };
     Producer::open(&daemon.client(), options).await.map_err(|error| error.to_string())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior_means() {
+async fn grid_that_producers_with_sensors_of_their_own_observe_weighs_their_readings() {
     let film = Film::new(6, 400);
     let own = ProducerSensor { hit: 0.9, false_alarm: 0.05 };
     let sensor = SensorNoise { hit: own.hit, false_alarm: own.false_alarm, prior: 0.4 };
@@ -201,7 +220,7 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
             ("inspector", Some(sharp), sharp, &late),
         ] {
             let of_round: Vec<_> = scans.iter().filter(|(time, _)| (from..to).contains(time)).cloned().collect();
-            sent.note(&film, &of_round, levels(is, 0.4));
+            sent.note(&film, &of_round, levels(is, 0.4), odds(is));
             let mut producer = with_sensor(&daemon, name, given).await.expect("a Welcome");
             send(&mut producer, of_round).await;
         }
@@ -209,7 +228,7 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
         daemon.kill();
         daemon = Launch::on(data.path()).start();
         run_update(&daemon.client(), MAP, Some(to).filter(|to| *to < i64::MAX)).await;
-        let compared = compare(&daemon, &film, &sent, to).await;
+        let compared = compare(&daemon, &film, &mut sent, to, levels(own, 0.4)).await;
         assert!(compared >= 25, "{compared} cells are too few");
     }
     daemon.stop_in_order();
@@ -231,8 +250,9 @@ async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior
         let index = cell.map(|column| line[column].parse().expect("an index"));
         drawn.insert(index, line[value].parse().expect("a number"));
     }
-    for (&cell, readings) in &sent.readings {
-        let expected = readings.iter().map(|(_, value, _)| value).sum::<f64>() / readings.len() as f64;
+    for (&cell, of_cell) in &sent.odds {
+        let learned = bins(&sent.scans, of_cell, i64::MAX, levels(own, 0.4));
+        let expected = learned.iter().map(|(_, value, _)| value).sum::<f64>() / learned.len() as f64;
         near(drawn[&film.index(cell)], expected, &format!("the mean of {} as it is drawn", film.name(cell)));
     }
 

@@ -13,7 +13,7 @@ use std::{path::Path, process::ExitCode};
 
 use super::{
     Session, UsageError, files,
-    grid::scan_ends::{self, FileScanEnds},
+    grid::ever_occupied::{self, FileEverOccupied},
     usage,
 };
 use crate::progress::status_line;
@@ -37,8 +37,8 @@ struct Written {
     path: String,
     content: &'static str,
     count: u64,
-    /// The cells in which scans ended, in a map or a keepout mask.
-    scan_ends: Option<FileScanEnds>,
+    /// The cells that were occupied at some time, in a map or a keepout mask.
+    ever_occupied: Option<FileEverOccupied>,
 }
 
 fn kind(path: &Path) -> Result<ExportKind, UsageError> {
@@ -67,13 +67,15 @@ pub(crate) async fn run(session: &Session, args: ExportArgs) -> anyhow::Result<E
         }
     };
     let image = args.path.with_extension("pgm").display().to_string();
-    let lines: Vec<String> = written.iter().filter_map(|file| Some(file.scan_ends?.line(&image))).collect();
+    let lines: Vec<String> = written.iter().filter_map(|file| Some(file.ever_occupied?.line(&image))).collect();
     // In a table the line has the numbers.
     let has_columns = session.format != Format::Table && !lines.is_empty();
-    let columns = ["out", "content", "count"].into_iter().chain(scan_ends::COLUMNS.into_iter().filter(|_| has_columns));
-    let row = |Written { path, content, count, scan_ends }| {
-        let ends = scan_ends.filter(|_| has_columns).map_or_else(Vec::new, |ends: FileScanEnds| ends.cells());
-        [vec![Cell::Text(path), content.into(), count.into()], ends].concat()
+    let columns =
+        ["out", "content", "count"].into_iter().chain(ever_occupied::COLUMNS.into_iter().filter(|_| has_columns));
+    let row = |Written { path, content, count, ever_occupied }| {
+        let occupied =
+            ever_occupied.filter(|_| has_columns).map_or_else(Vec::new, |occupied: FileEverOccupied| occupied.cells());
+        [vec![Cell::Text(path), content.into(), count.into()], occupied].concat()
     };
     session.print(&columns.collect::<Vec<_>>(), written.into_iter().map(row))?;
     lines.iter().for_each(|line| status_line(line));

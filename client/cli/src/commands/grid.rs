@@ -5,11 +5,11 @@
 pub(super) mod cell_masks;
 mod changed;
 mod compare;
+pub(super) mod ever_occupied;
 mod file_times;
 mod observe;
 pub(super) mod place;
 pub(crate) mod predict;
-pub(super) mod scan_ends;
 mod scans;
 pub(super) mod sensor;
 

@@ -271,7 +271,7 @@ impl LiveGrid {
         is_newer
     }
 
-    /// What readings of a scan add to the newest evidence.
+    /// The steps that readings of a scan add to the newest evidence.
     fn steps(&self, time: ScanTime) -> Option<OddsSteps> {
         let odds = || OddsSteps::new(time.source, self.sensors.odds(time.sensor, time.source));
         (self.spec.evidence == Evidence::Bins).then(odds)

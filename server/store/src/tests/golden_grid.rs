@@ -352,5 +352,5 @@ fn snapshot() -> MapSnapshot {
 }
 
 pub(super) fn map() -> Golden {
-    Golden { spec: spec(), events: events(), snapshot: snapshot(), rows: 0xDB80_5E1F }
+    Golden { spec: spec(), events: events(), snapshot: snapshot(), rows: 0xEA27_A603 }
 }

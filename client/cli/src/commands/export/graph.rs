@@ -22,7 +22,8 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
     };
     report_left_out(unplaced_nodes, closed_edges);
     files::replace(&args.path, text)?;
-    let written = |content, count| Written { path: args.path.display().to_string(), content, count, scan_ends: None };
+    let written =
+        |content, count| Written { path: args.path.display().to_string(), content, count, ever_occupied: None };
     Ok(vec![written("nodes", nodes), written("edges", edges)])
 }
 

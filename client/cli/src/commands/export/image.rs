@@ -10,7 +10,7 @@ use tidemap_formats::{
 use super::{
     super::{
         Session, files,
-        grid::scan_ends::{FileScanEnds, ShownAs},
+        grid::ever_occupied::{FileEverOccupied, ShownAs},
     },
     ExportArgs, Written,
     args::Mask,
@@ -27,10 +27,15 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
     let grid = frames::grid(session, &args.options(), time_nanos).await?;
     let image_path = args.path.with_extension("pgm");
     let thresholds = Thresholds::default();
-    let (picture, mode, content, scan_ends) = match args.mask {
+    let (picture, mode, content, ever_occupied) = match args.mask {
         None => {
-            let ends = nav2::in_map(&grid.picture, thresholds);
-            (grid.picture, GridMode::Trinary, "map", Some(FileScanEnds { ends, kind: ShownAs::Map(thresholds) }))
+            let occupied = nav2::in_map(&grid.picture, thresholds);
+            (
+                grid.picture,
+                GridMode::Trinary,
+                "map",
+                Some(FileEverOccupied { occupied, kind: ShownAs::Map(thresholds) }),
+            )
         }
         Some(Mask::Keepout) => {
             let areas = frames::areas(session, &args.map).await?;
@@ -42,9 +47,9 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
             }
             let occupied_from = args.occupied.unwrap_or(OCCUPIED);
             let mask = nav2::keepout(&grid.picture, &corners, occupied_from)?;
-            let ends = nav2::in_keepout(&grid.picture, &mask);
-            let ends = FileScanEnds { ends, kind: ShownAs::Keepout(occupied_from) };
-            (mask, GridMode::Trinary, "keepout", Some(ends))
+            let occupied = nav2::in_keepout(&grid.picture, &mask);
+            let occupied = FileEverOccupied { occupied, kind: ShownAs::Keepout(occupied_from) };
+            (mask, GridMode::Trinary, "keepout", Some(occupied))
         }
         Some(Mask::Speed) => {
             (nav2::speed(&grid.picture, args.slowest.unwrap_or(SLOWEST))?, GridMode::Raw, "speed", None)
@@ -55,7 +60,7 @@ pub(super) async fn write(session: &Session, args: &ExportArgs, time_nanos: i64)
     files::replace(&image_path, &map.image)?;
     files::replace(&args.path, &map.yaml)?;
     let known = picture.cells.iter().filter(|cell| **cell != PictureCell::Unknown).count() as u64;
-    Ok(vec![Written { path: args.path.display().to_string(), content, count: known, scan_ends }])
+    Ok(vec![Written { path: args.path.display().to_string(), content, count: known, ever_occupied }])
 }
 
 /// Whether a place is on a map.

@@ -126,6 +126,7 @@ async fn put(
 fn rows(args: &ExportArgs, counts: MessageCounts) -> Vec<Written> {
     let MessageCounts { maps, grids, topologies, states } = counts;
     let all = [("map", maps), ("grid", grids), ("topology", topologies), ("states", states)];
-    let written = |(content, count)| Written { path: args.path.display().to_string(), content, count, scan_ends: None };
+    let written =
+        |(content, count)| Written { path: args.path.display().to_string(), content, count, ever_occupied: None };
     all.into_iter().filter(|(_, count)| *count > 0).map(written).collect()
 }

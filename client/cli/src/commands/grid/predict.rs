@@ -18,8 +18,8 @@ use tidemap_client::{
 use tonic::Code;
 
 use super::{
+    ever_occupied::{self, FileEverOccupied, ShownAs},
     place::{AxisRange, Rectangle, cells, corner_m},
-    scan_ends::{self, FileScanEnds, ShownAs},
 };
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times::RequestedTimesArgs, usage},
@@ -230,18 +230,18 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
-    let ends = scan_ends(kind, &args, &picture);
-    put(session, (path, ends), &picture, predicted.header.generation)
+    let occupied = ever_occupied(kind, &args, &picture);
+    put(session, (path, occupied), &picture, predicted.header.generation)
 }
 
-/// The cells in which scans ended, in a .pgm file of mode trinary.
-fn scan_ends(kind: OutputKind, args: &GridPredictArgs, picture: &MapPicture) -> Option<FileScanEnds> {
+/// The cells that were occupied at some time, in a .pgm file of mode trinary.
+fn ever_occupied(kind: OutputKind, args: &GridPredictArgs, picture: &MapPicture) -> Option<FileEverOccupied> {
     if kind != OutputKind::Pgm || args.pgm_mode() != nav2::GridMode::Trinary || args.entropy {
         return None;
     }
     let thresholds = nav2::Thresholds::default();
     let kind = args.threshold.map_or(ShownAs::Map(thresholds), ShownAs::AtLeast);
-    Some(FileScanEnds { ends: nav2::in_map(picture, thresholds), kind })
+    Some(FileEverOccupied { occupied: nav2::in_map(picture, thresholds), kind })
 }
 
 /// The whole prediction of a query.
@@ -263,7 +263,7 @@ pub(crate) async fn predicted(session: &Session, query: &GridQuery) -> anyhow::R
 /// Prints a message about the written file, or the drawing in the terminal.
 fn put(
     session: &Session,
-    (path, scan_ends): (Option<&Path>, Option<FileScanEnds>),
+    (path, ever_occupied): (Option<&Path>, Option<FileEverOccupied>),
     picture: &MapPicture,
     generation: u64,
 ) -> anyhow::Result<ExitCode> {
@@ -276,9 +276,9 @@ fn put(
         return Ok(ExitCode::SUCCESS);
     };
     // In a table the line has the numbers.
-    let columns = scan_ends.filter(|_| session.format != Format::Table);
+    let columns = ever_occupied.filter(|_| session.format != Format::Table);
     let names = ["out", "cells", "known", "changing", "generation"].into_iter();
-    let names = names.chain(columns.iter().flat_map(|_| scan_ends::COLUMNS)).collect::<Vec<_>>();
+    let names = names.chain(columns.iter().flat_map(|_| ever_occupied::COLUMNS)).collect::<Vec<_>>();
     let mut row = vec![
         Cell::Text(path.display().to_string()),
         (picture.cells.len() as u64).into(),
@@ -286,9 +286,9 @@ fn put(
         changing.into(),
         generation.into(),
     ];
-    row.extend(columns.iter().flat_map(FileScanEnds::cells));
+    row.extend(columns.iter().flat_map(FileEverOccupied::cells));
     session.print(&names, [row])?;
-    scan_ends.iter().for_each(|ends| status_line(&ends.line(&path.display().to_string())));
+    ever_occupied.iter().for_each(|occupied| status_line(&occupied.line(&path.display().to_string())));
     Ok(ExitCode::SUCCESS)
 }
 

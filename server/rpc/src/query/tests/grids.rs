@@ -42,8 +42,11 @@ async fn cells_are_predicted_and_described_by_name() {
     };
     let (cell, door) = (describe("cell/2/0/0").await.expect("known"), describe("door").await.expect("known"));
     let (cell, door) = (cell.into_inner(), door.into_inner());
-    assert_eq!((cell.state.as_str(), cell.learned_observations, cell.order_errors.len()), ("cell/2/0/0", 240, 16));
-    assert_eq!((cell.first_time, cell.last_time, cell.order), (door.first_time, door.last_time, door.order));
+    // Four hours are eight bins of half an hour; the first is at the mean time of its scans.
+    assert_eq!((cell.state.as_str(), cell.learned_observations, cell.order_errors.len()), ("cell/2/0/0", 8, 16));
+    assert_eq!((cell.last_time, cell.order), (door.last_time, door.order));
+    let first_bin = NOON + 29 * MINUTE / 2;
+    assert_eq!(cell.first_time.map(|t| t.seconds * 1_000_000_000 + i64::from(t.nanos)), Some(first_bin));
     let periods =
         |model: &v1::DescribeModelResponse| model.components.iter().map(|c| c.period_secs).collect::<Vec<_>>();
     assert_eq!(periods(&cell), periods(&door));
@@ -142,14 +145,14 @@ async fn a_large_grid_comes_in_pages_of_one_view() {
     let shown = |occupied: Mask| {
         (0..800).map(|i| (tile(i % 40, i / 40, 0), TileMasks::clipped(Mask::FULL, occupied))).collect()
     };
-    robot.show(&bench, &[(NOON, shown(Mask::EMPTY)), (NOON + MINUTE, shown(Mask::FULL))]).await;
+    robot.show(&bench, &[(NOON, shown(Mask::EMPTY)), (NOON + 30 * MINUTE, shown(Mask::FULL))]).await;
     bench.update().await;
     let view = bench.handle.view();
-    let (header, pages) = bench.grid(at(NOON + MINUTE)).await.expect("a grid");
+    let (header, pages) = bench.grid(at(NOON + 30 * MINUTE)).await.expect("a grid");
     assert!(pages.len() > 5);
     let tiles: Vec<_> = pages.into_iter().flat_map(|page| page.tiles).collect();
     assert_eq!((tiles.len() as u64, header.cells), (header.tiles, 800 * 512));
-    let question = GridQuestion { utc_nanos: NOON + MINUTE, ..GridQuestion::default() };
+    let question = GridQuestion { utc_nanos: NOON + 30 * MINUTE, ..GridQuestion::default() };
     let selection = view.grid().expect("a grid").select(&question);
     for (answered, expected) in tiles.iter().zip(view.predict_grid(&question, &selection)) {
         let expected: TileCells = expected.expect("in memory");

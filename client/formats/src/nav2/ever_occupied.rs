@@ -1,18 +1,18 @@
-//! The cells of a grid in which scans ended, and what a map or a mask shows of them: a thing that is there for a part
-//! of the time is free in a map of the hours without it.
+//! The cells of a grid that were occupied at some time, and what a map or a mask shows of them: a thing that is there
+//! for a part of the time is free in a map of the hours without it.
 //!
-//! Invariant: a cell is counted if it was read as occupied at least once, up to the last update.
+//! Invariant: a cell is counted if it was occupied in at least one bin that an update has learned.
 
 use super::{GridCell, Thresholds};
 use crate::{MapPicture, PictureCell};
 
-/// Above this probability, a cell that was only ever read as one thing was read as occupied. A cell that no update has
+/// Above this probability, a cell that was always the same was always occupied. A cell that no update has
 /// learned has this probability, and is not counted.
 const ALWAYS_OCCUPIED: f32 = 0.5;
 
-/// Numbers of cells in which scans ended.
+/// Numbers of cells that were occupied at some time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ScanEnds {
+pub struct EverOccupied {
     /// All of them.
     pub cells: u64,
     /// The free ones of them; in a keepout mask the allowed ones.
@@ -21,34 +21,34 @@ pub struct ScanEnds {
     pub unknown: u64,
 }
 
-/// The cells in which scans ended, in a map of mode trinary.
-pub fn in_map(picture: &MapPicture, thresholds: Thresholds) -> ScanEnds {
+/// The cells that were occupied at some time, in a map of mode trinary.
+pub fn in_map(picture: &MapPicture, thresholds: Thresholds) -> EverOccupied {
     let shown = |cell: &PictureCell| thresholds.cell(picture.value_of(*cell).map(f64::from));
     count(picture, picture.cells.iter().map(shown))
 }
 
-/// The cells in which scans ended, in a keepout mask of their map.
-pub fn in_keepout(picture: &MapPicture, mask: &MapPicture) -> ScanEnds {
+/// The cells that were occupied at some time, in a keepout mask of their map.
+pub fn in_keepout(picture: &MapPicture, mask: &MapPicture) -> EverOccupied {
     let is_forbidden = |cell: &PictureCell| cell.probability().is_some_and(|value| value > 0.0);
     let shown = |cell: &PictureCell| if is_forbidden(cell) { GridCell::Occupied } else { GridCell::Free };
     count(picture, mask.cells.iter().map(shown))
 }
 
-fn count(picture: &MapPicture, shown: impl Iterator<Item = GridCell>) -> ScanEnds {
-    let mut ends = ScanEnds::default();
-    for (_, shown) in picture.cells.iter().zip(shown).filter(|(cell, _)| has_scan_ends(**cell)) {
-        ends.cells += 1;
+fn count(picture: &MapPicture, shown: impl Iterator<Item = GridCell>) -> EverOccupied {
+    let mut occupied = EverOccupied::default();
+    for (_, shown) in picture.cells.iter().zip(shown).filter(|(cell, _)| was_occupied(**cell)) {
+        occupied.cells += 1;
         match shown {
-            GridCell::Free => ends.free += 1,
-            GridCell::Unknown | GridCell::Between { .. } => ends.unknown += 1,
+            GridCell::Free => occupied.free += 1,
+            GridCell::Unknown | GridCell::Between { .. } => occupied.unknown += 1,
             GridCell::Occupied => {}
         }
     }
-    ends
+    occupied
 }
 
-/// Whether scans ended in a cell.
-fn has_scan_ends(cell: PictureCell) -> bool {
+/// Whether a cell was occupied at some time.
+fn was_occupied(cell: PictureCell) -> bool {
     match cell {
         PictureCell::Unknown => false,
         PictureCell::Static { probability } => probability > ALWAYS_OCCUPIED,
@@ -83,9 +83,9 @@ mod tests {
     }
 
     #[test]
-    fn cells_in_which_scans_ended_are_counted_as_the_file_shows_them() {
-        let ends = in_map(&row(cells()), Thresholds::default());
-        assert_eq!(ends, ScanEnds { cells: 6, free: 2, unknown: 2 });
+    fn cells_that_were_occupied_are_counted_as_the_file_shows_them() {
+        let occupied = in_map(&row(cells()), Thresholds::default());
+        assert_eq!(occupied, EverOccupied { cells: 6, free: 2, unknown: 2 });
         let halved = cells().into_iter().map(|cell| match cell {
             PictureCell::Changing { probability } => {
                 PictureCell::Changing { probability: f32::from(u8::from(probability >= 0.5)) }
@@ -93,14 +93,14 @@ mod tests {
             cell => cell,
         });
         let picture = MapPicture { value: PictureValue::AtLeast(0.5), ..row(halved.collect()) };
-        assert_eq!(in_map(&picture, Thresholds::default()), ScanEnds { cells: 6, free: 3, unknown: 0 });
+        assert_eq!(in_map(&picture, Thresholds::default()), EverOccupied { cells: 6, free: 3, unknown: 0 });
     }
 
     #[test]
     fn what_a_keepout_mask_allows_is_free() -> Result<(), PictureError> {
         let picture = row(cells());
         let mask = keepout(&picture, &[], 0.4)?;
-        assert_eq!(in_keepout(&picture, &mask), ScanEnds { cells: 6, free: 2, unknown: 0 });
+        assert_eq!(in_keepout(&picture, &mask), EverOccupied { cells: 6, free: 2, unknown: 0 });
         Ok(())
     }
 }

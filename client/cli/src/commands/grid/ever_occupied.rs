@@ -1,10 +1,10 @@
-//! The cells in which scans ended and that a written map shows as free or unknown: in a line for people, and as columns
-//! for programs.
+//! The cells that were occupied at some time and that a written map shows as free or unknown: in a line for people, and
+//! as columns for programs.
 //!
 //! Invariant: the numbers are those of the file that was written, at its thresholds.
 
 use tidemap_formats::{
-    nav2::{ScanEnds, Thresholds},
+    nav2::{EverOccupied, Thresholds},
     table::Cell,
 };
 
@@ -12,12 +12,12 @@ use crate::counted::{count, counted, percent};
 
 /// Additional columns of a written map.
 pub(crate) const COLUMNS: [&str; 5] =
-    ["scan_ends", "scan_ends_free", "scan_ends_unknown", "free_up_to", "occupied_from"];
+    ["ever_occupied", "ever_occupied_free", "ever_occupied_unknown", "free_up_to", "occupied_from"];
 
-/// The cells in which scans ended, in a file that was written.
+/// The cells that were occupied at some time, in a file that was written.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct FileScanEnds {
-    pub(crate) ends: ScanEnds,
+pub(crate) struct FileEverOccupied {
+    pub(crate) occupied: EverOccupied,
     pub(crate) kind: ShownAs,
 }
 
@@ -32,39 +32,40 @@ pub(crate) enum ShownAs {
     Keepout(f64),
 }
 
-impl FileScanEnds {
+impl FileEverOccupied {
     /// The values of [`COLUMNS`].
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (free_up_to, occupied_from) = match self.kind {
             ShownAs::Map(Thresholds { free, occupied }) => (Some(free), occupied),
             ShownAs::AtLeast(from) | ShownAs::Keepout(from) => (None, from),
         };
-        let ScanEnds { cells, free, unknown } = self.ends;
+        let EverOccupied { cells, free, unknown } = self.occupied;
         vec![cells.into(), free.into(), unknown.into(), Cell::maybe(free_up_to), occupied_from.into()]
     }
 
     /// The line for people. `file` is the name of the image.
     pub(crate) fn line(&self, file: &str) -> String {
-        let ScanEnds { cells, free, unknown } = self.ends;
+        let EverOccupied { cells, free, unknown } = self.occupied;
         if cells == 0 {
-            return "no scan that an update has learned ended in these cells".to_owned();
+            return "no cell was occupied at a time that an update has learned".to_owned();
         }
         let share = percent(free, cells);
         let free = count(free);
-        let ended = format!("scans ended in {}", counted(cells, "cell"));
+        let were = if cells == 1 { "was" } else { "were" };
+        let known = format!("{} {were} occupied at some time", counted(cells, "cell"));
         match self.kind {
             ShownAs::Map(Thresholds { free: up_to, occupied }) => format!(
-                "{ended}: {free}{share} of them are free in {file}, with a probability up to {up_to} at this time, and {} are \
+                "{known}: {free}{share} of them are free in {file}, with a probability up to {up_to} at this time, and {} are \
                  unknown, below {occupied}. grid predict --pgm-mode raw writes the probabilities",
                 count(unknown)
             ),
             ShownAs::AtLeast(from) => {
                 format!(
-                    "{ended}: {free}{share} of them are free in {file}, with a probability below {from} at this time"
+                    "{known}: {free}{share} of them are free in {file}, with a probability below {from} at this time"
                 )
             }
             ShownAs::Keepout(from) => format!(
-                "{ended}: {free}{share} of them are not forbidden in {file}, with a probability below {from} at this \
+                "{known}: {free}{share} of them are not forbidden in {file}, with a probability below {from} at this \
                  time. --occupied sets another limit"
             ),
         }
@@ -77,17 +78,17 @@ mod tests {
 
     #[test]
     fn the_line_has_the_numbers_and_the_threshold_of_the_file() {
-        let ends = ScanEnds { cells: 1204, free: 87, unknown: 40 };
-        let line = |ends, kind| FileScanEnds { ends, kind }.line("ten.pgm");
+        let occupied = EverOccupied { cells: 1204, free: 87, unknown: 40 };
+        let line = |occupied, kind| FileEverOccupied { occupied, kind }.line("ten.pgm");
         for (kind, words) in [
             (ShownAs::Map(Thresholds::default()), &["87 (7 %)", "up to 0.25", "40 are unknown, below 0.65"][..]),
             (ShownAs::AtLeast(0.9), &["87 (7 %)", "below 0.9"]),
             (ShownAs::Keepout(0.4), &["87 (7 %)", "not forbidden", "below 0.4", "--occupied"]),
         ] {
-            let line = line(ends, kind);
-            assert!(line.starts_with("scans ended in 1,204 cells: ") && line.contains("ten.pgm"), "{line}");
+            let line = line(occupied, kind);
+            assert!(line.starts_with("1,204 cells were occupied at some time: ") && line.contains("ten.pgm"), "{line}");
             assert!(words.iter().all(|word| line.contains(word)), "{line}");
         }
-        assert!(line(ScanEnds::default(), ShownAs::AtLeast(0.5)).starts_with("no scan that an update has learned"));
+        assert!(line(EverOccupied::default(), ShownAs::AtLeast(0.5)).starts_with("no cell was occupied"));
     }
 }
