@@ -90,6 +90,20 @@ impl StateOrCell {
         }
     }
 
+    /// Number of acknowledged observations that no update has learned; of a cell, at most this number. A cell learns
+    /// from bins, so that the difference of its observations and the learned ones is another number.
+    pub fn pending(&self, view: &MapView) -> u64 {
+        match self {
+            Self::State(id) => view.pending_of(*id),
+            Self::Cell(cell) => {
+                let last = cell.description.persistence.last();
+                let is_newer = last.is_some_and(|(nanos, _)| view.cut_nanos().is_none_or(|cut| nanos >= cut));
+                let scans = view.grid().filter(|_| is_newer).map_or(0, |grid| grid.pending_scans());
+                scans.min(cell.description.observations)
+            }
+        }
+    }
+
     /// Number of observations acknowledged.
     pub fn observations(&self, view: &MapView) -> u64 {
         match self {

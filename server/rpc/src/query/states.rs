@@ -315,7 +315,7 @@ fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments
         kind: subject.kind(view),
         order: subject.order(view, selector),
         observations: subject.observations(view),
-        pending: subject.observations(view).saturating_sub(subject.learned(view)),
+        pending: subject.pending(view),
         answered_by: subject.answered_by(view, selector),
         last_nanos,
     }
