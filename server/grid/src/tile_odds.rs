@@ -27,7 +27,59 @@ pub type CellOdds = Box<[i8; TILE_CELLS]>;
 /// The newest evidence about the cells of a tile.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileOdds {
-    of_sources: Vec<(ScanSource, CellOdds)>,
+    of_sources: Vec<OddsOfSource>,
+}
+
+/// The newest evidence of one source. Most cells are at a limit already and are read alike, which costs nothing.
+#[derive(Clone, Debug, PartialEq)]
+struct OddsOfSource {
+    source: ScanSource,
+    odds: CellOdds,
+    /// The cells whose log odds are above 0.
+    occupied: Mask,
+    /// The cells whose log odds are [`ODDS_MAX`].
+    highest: Mask,
+    /// The cells whose log odds are [`ODDS_MIN`].
+    lowest: Mask,
+}
+
+impl OddsOfSource {
+    fn new(source: ScanSource, odds: CellOdds) -> OddsOfSource {
+        let where_odds = |is_among: fn(i8) -> bool| {
+            (0..).zip(odds.iter()).filter(|(_, odds)| is_among(**odds)).fold(Mask::EMPTY, |mut cells, (cell, _)| {
+                cells.insert(cell);
+                cells
+            })
+        };
+        let occupied = where_odds(|odds| odds > 0);
+        let (highest, lowest) = (where_odds(|odds| odds == ODDS_MAX), where_odds(|odds| odds == ODDS_MIN));
+        OddsOfSource { source, odds, occupied, highest, lowest }
+    }
+
+    /// Adds scans that all read these masks.
+    fn read(&mut self, steps: OddsSteps, masks: TileMasks, scans: i32) {
+        let (hits, misses) = (masks.occupied(), masks.observed().without(masks.occupied()));
+        self.add(hits.without(self.highest), steps.hit, scans);
+        self.add(misses.without(self.lowest), steps.miss, scans);
+    }
+
+    fn add(&mut self, cells: Mask, step: i8, scans: i32) {
+        let more = i32::from(step).saturating_mul(scans);
+        for cell in cells.cells() {
+            let Some(odds) = self.odds.get_mut(usize::from(cell)) else { continue };
+            let sum = more.saturating_add(i32::from(*odds));
+            *odds = sum.clamp(i32::from(ODDS_MIN), i32::from(ODDS_MAX)) as i8;
+            for (mask, is_among) in [
+                (&mut self.occupied, *odds > 0),
+                (&mut self.highest, *odds == ODDS_MAX),
+                (&mut self.lowest, *odds == ODDS_MIN),
+            ] {
+                if mask.contains(cell) != is_among {
+                    mask.flip(cell);
+                }
+            }
+        }
+    }
 }
 
 /// The steps that readings of a scan add.
@@ -61,42 +113,37 @@ impl TileOdds {
     pub fn from_sources(of_sources: Vec<(ScanSource, CellOdds)>) -> Result<TileOdds, InvalidOdds> {
         let ascends = of_sources.is_sorted_by(|(one, _), (next, _)| one < next);
         let mut all = of_sources.iter().flat_map(|(_, odds)| odds.iter());
-        if ascends && all.all(|odds| (ODDS_MIN..=ODDS_MAX).contains(odds)) {
-            Ok(TileOdds { of_sources })
-        } else {
-            Err(InvalidOdds)
+        if !ascends || !all.all(|odds| (ODDS_MIN..=ODDS_MAX).contains(odds)) {
+            return Err(InvalidOdds);
         }
+        let of_sources = of_sources.into_iter().map(|(source, odds)| OddsOfSource::new(source, odds));
+        Ok(TileOdds { of_sources: of_sources.collect() })
     }
 
     /// The log odds of each source, in steps of 1/32.
-    pub fn sources(&self) -> &[(ScanSource, CellOdds)] {
-        &self.of_sources
+    pub fn sources(&self) -> impl Iterator<Item = (ScanSource, &[i8; TILE_CELLS])> {
+        self.of_sources.iter().map(|of_source| (of_source.source, &*of_source.odds))
     }
 
     /// Memory in bytes beyond its own size, about.
     pub(crate) fn bytes(&self) -> usize {
-        self.of_sources.len() * (size_of::<(ScanSource, CellOdds)>() + TILE_CELLS)
+        self.of_sources.len() * (size_of::<OddsOfSource>() + TILE_CELLS)
     }
 
     /// Adds scans of one source that all read these masks. Returns the masks that the newest evidence shows of the
     /// cells that the scans observed, and whether more such scans would show the same.
     pub(crate) fn read(&mut self, steps: OddsSteps, masks: TileMasks, scans: u64) -> (TileMasks, bool) {
-        let at = match self.of_sources.binary_search_by_key(&steps.source, |(source, _)| *source) {
+        let at = match self.of_sources.binary_search_by_key(&steps.source, |known| known.source) {
             Ok(at) => at,
             Err(at) => {
-                self.of_sources.insert(at, (steps.source, Box::new([0; TILE_CELLS])));
+                self.of_sources.insert(at, OddsOfSource::new(steps.source, Box::new([0; TILE_CELLS])));
                 at
             }
         };
-        let scans = i32::try_from(scans).unwrap_or(i32::MAX);
         let mut shown = Mask::EMPTY;
-        if let Some((_, odds)) = self.of_sources.get_mut(at) {
-            let layers = odds.as_chunks_mut::<64>().0.iter_mut().zip(masks.observed().0).zip(masks.occupied().0);
-            for (((odds, observed), occupied), shown) in layers.zip(&mut shown.0) {
-                if observed != 0 {
-                    *shown = read_layer(odds, (observed, occupied), (steps.hit, steps.miss), scans) & observed;
-                }
-            }
+        if let Some(of_source) = self.of_sources.get_mut(at) {
+            of_source.read(steps, masks, i32::try_from(scans).unwrap_or(i32::MAX));
+            shown = of_source.occupied & masks.observed();
         }
         let is_settled = shown == masks.occupied();
         (self.beside(steps.source, TileMasks::clipped(masks.observed(), shown)), is_settled)
@@ -104,37 +151,18 @@ impl TileOdds {
 
     /// The masks that a source reads, without the free cells that other sources read as occupied.
     pub(crate) fn beside(&self, source: ScanSource, masks: TileMasks) -> TileMasks {
-        let mut standing = Mask::EMPTY;
-        for (_, odds) in self.of_sources.iter().filter(|(other, _)| *other != source) {
-            for (layer, standing) in odds.as_chunks::<64>().0.iter().zip(&mut standing.0) {
-                *standing |= occupied_layer(layer);
-            }
-        }
+        let others = self.of_sources.iter().filter(|other| other.source != source);
+        let standing = others.fold(Mask::EMPTY, |all, other| all | other.occupied);
         TileMasks::clipped(masks.observed().without(standing.without(masks.occupied())), masks.occupied())
     }
 
     /// Keeps only whether each cell is free or occupied: what was observed long ago does not outweigh a new scan.
     pub(crate) fn age(&mut self) {
-        for odds in self.of_sources.iter_mut().flat_map(|(_, odds)| odds.iter_mut()) {
-            *odds = odds.signum();
+        for of_source in &mut self.of_sources {
+            of_source.odds.iter_mut().for_each(|odds| *odds = odds.signum());
+            (of_source.highest, of_source.lowest) = (Mask::EMPTY, Mask::EMPTY);
         }
     }
-}
-
-/// Adds equal scans to the cells of a layer that they observed. Returns the cells of the layer with more evidence of
-/// occupied than of free.
-fn read_layer(odds: &mut [i8; 64], (observed, occupied): (u64, u64), (hit, miss): (i8, i8), scans: i32) -> u64 {
-    for (bit, odds) in odds.iter_mut().enumerate() {
-        let step = if occupied >> bit & 1 == 1 { hit } else { miss };
-        let sum = i32::from(step).saturating_mul(scans).saturating_add(i32::from(*odds));
-        let sum = sum.clamp(i32::from(ODDS_MIN), i32::from(ODDS_MAX)) as i8;
-        *odds = if observed >> bit & 1 == 1 { sum } else { *odds };
-    }
-    occupied_layer(odds)
-}
-
-fn occupied_layer(odds: &[i8; 64]) -> u64 {
-    odds.iter().enumerate().fold(0, |all, (bit, odds)| all | u64::from(*odds > 0) << bit)
 }
 
 #[cfg(test)]

@@ -57,7 +57,7 @@ pub(crate) fn encode(tile: &LiveTile, has_model: bool) -> Result<layout::Tile, I
         has_model,
         sensor: u32::from(tile.sensor.0),
         away_sensors,
-        odds: tile.odds.sources().iter().map(encode_odds).collect::<Result<_, _>>()?,
+        odds: tile.odds.sources().map(encode_odds).collect::<Result<_, _>>()?,
     })
 }
 
@@ -109,13 +109,13 @@ pub(crate) fn decode(message: &layout::Tile) -> Result<LiveTile, Invalid> {
     Ok(tile)
 }
 
-fn encode_odds((source, odds): &(ScanSource, CellOdds)) -> Result<layout::SourceOdds, Invalid> {
+fn encode_odds((source, odds): (ScanSource, &[i8; TILE_CELLS])) -> Result<layout::SourceOdds, Invalid> {
     let mut cells = CellsOut::default();
     for (cell, odds) in (0..).zip(odds.iter()).filter(|(_, odds)| **odds != 0) {
         cells.push(cell)?;
         cells.bytes.extend(odds.to_le_bytes());
     }
-    Ok(layout::SourceOdds { source: sources::number(*source), cells: cells.bytes })
+    Ok(layout::SourceOdds { source: sources::number(source), cells: cells.bytes })
 }
 
 fn decode_odds(message: &layout::SourceOdds) -> Result<(ScanSource, CellOdds), Invalid> {
