@@ -40,7 +40,7 @@ pub enum ScanSource {
     /// The scan states its cells as free or occupied.
     #[default]
     Cells,
-    /// Rays of a range sensor; most rays that pass an occupied cell in part read it as free.
+    /// Rays of a range sensor; a ray that passes an occupied cell in part reads it as free.
     Rays {
         /// The height of the sensor in a flat grid, in units of [`HEIGHT_BAND_M`], rounded; 0 in other grids.
         height: i8,
