@@ -124,6 +124,8 @@ export function pixels(page) {
 
 /** Drops files onto the page. */
 export async function dropped(page, files) {
+    // A dialog that Escape has closed takes part until its event, and the page takes no drop meanwhile.
+    await page.getByTestId('import-dialog').waitFor({ state: 'detached' });
     const contents = files.map((file) => ({ name: basename(file), base64: readFileSync(file).toString('base64') }));
     const transfer = await page.evaluateHandle((contents) => {
         const transfer = new DataTransfer();
