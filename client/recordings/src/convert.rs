@@ -19,13 +19,20 @@ pub use self::{beams::BeamCounts, merged::CellSize};
 
 use crate::{
     frames::{FrameError, frame_name},
-    known::{self, Grid, GridUpdate, KnownError},
+    known::{self, Cloud, Grid, GridUpdate, KnownError},
     mapping::{PositionRule, StateRule, TraversalRule, ValueKind, ValueRule, shown},
     message::Value,
     plan::{GridUse, Plan, TopicPlan},
     recording::Topic,
     survey::{Surveyed, TopicReader, TopicTable, connection},
 };
+
+/// One cloud of a topic and frame is taken in this time, unless an option gives another, if the clouds have many
+/// points. Cells are learned from half-hour bins: more clouds cost time and change hardly anything. Clouds of few points
+/// can be parts of a turn of the scanner, and all are taken.
+pub const CLOUD_PERIOD_NANOS: i64 = 1_000_000_000;
+/// Clouds of this number of points or more have many.
+pub const CLOUD_POINTS_MANY: usize = 20_000;
 
 /// Maximum number of characters of a value in a message.
 const SHOWN_CHARS: usize = 80;
@@ -154,7 +161,7 @@ pub enum NotMade {
     #[error("nothing in the recording gives the position of {0:?}")]
     NoFrame(String),
     /// Another scan of the topic was taken shortly before.
-    #[error("left out, because one shortly before is taken")]
+    #[error("left out, because one shortly before is taken; --period 0s takes all")]
     Thinned,
     /// The robot's clock went back, and another part of the recording is taken.
     #[error(
@@ -199,8 +206,9 @@ pub struct ConvertOptions {
     pub clock: Clock,
     /// The points of a cloud that end in the same of these cells are merged: the first is taken; all if absent.
     pub merge: Option<CellSize>,
-    /// One of the scans, clouds and grids of a topic is taken in each period of this length, nanoseconds; all if 0.
-    pub period_nanos: i64,
+    /// One of the scans, clouds or grids of a topic and frame is taken in each period of this length, nanoseconds; all
+    /// if 0. Absent: 0, but [`CLOUD_PERIOD_NANOS`] for clouds of at least [`CLOUD_POINTS_MANY`] points.
+    pub period_nanos: Option<i64>,
     /// Whether all beams of a scan or cloud are placed at the time of its header, not each at its own.
     pub at_header: bool,
 }
@@ -211,8 +219,8 @@ pub struct Converter {
     surveyed: Arc<Surveyed>,
     plan: Arc<Plan>,
     options: ConvertOptions,
-    /// The period in which the last scan, cloud or grid of each topic was taken.
-    taken: BTreeMap<usize, i64>,
+    /// The period in which the last scan, cloud or grid of each topic and frame was taken.
+    taken: BTreeMap<(usize, String), i64>,
     table: TopicTable,
     connections: Vec<TopicReader>,
     /// The last grid of each topic of grids whose changes are taken.
@@ -280,7 +288,7 @@ impl Converter {
             let same = stamp.and_then(|stamp| self.same_stamp(grid, (index, &known::frame(&message)), stamp, data));
             made.push(if let Some(why) = same {
                 Err(why)
-            } else if self.is_thinned(grid, index, time_nanos) {
+            } else if self.is_thinned(grid, index, &message, time_nanos) {
                 Err(NotMade::Thinned)
             } else {
                 self.grid(grid, index, &message, stamp_nanos)
@@ -319,16 +327,20 @@ impl Converter {
         None
     }
 
-    /// Whether a scan, a cloud or a grid follows another one of its topic too soon. Changes of grids build upon each
-    /// other, so all are taken.
-    fn is_thinned(&mut self, grid: GridUse, topic: usize, time_nanos: i64) -> bool {
-        let period_nanos = self.options.period_nanos;
+    /// Whether a scan, a cloud or a grid follows another one of its topic and frame too soon. Changes of grids build
+    /// upon each other, so all are taken.
+    fn is_thinned(&mut self, grid: GridUse, topic: usize, message: &Value<'_>, time_nanos: i64) -> bool {
+        let has_many_points = || Cloud::read(message).is_ok_and(|cloud| cloud.len() >= CLOUD_POINTS_MANY);
+        let period_nanos = match self.options.period_nanos {
+            None if grid == GridUse::Clouds && has_many_points() => CLOUD_PERIOD_NANOS,
+            period_nanos => period_nanos.unwrap_or(0),
+        };
         let has_changes = self.plan.topics.iter().any(|plan| plan.grid == Some(GridUse::GridChanges(topic)));
         if period_nanos <= 0 || matches!(grid, GridUse::GridChanges(_)) || has_changes {
             return false;
         }
         let slot = time_nanos.div_euclid(period_nanos);
-        self.taken.insert(topic, slot) == Some(slot)
+        self.taken.insert((topic, known::frame(message)), slot) == Some(slot)
     }
 
     /// The pose of a frame at a time in the frame of the plan.

@@ -153,7 +153,7 @@ impl LiveTile {
         let (left, entered) = (self.current.without(observed), observed.without(self.current));
         let returned: Vec<Away> = match entered.is_empty() {
             true => Vec::new(),
-            false => self.away.extract_if(.., |away| entered.contains(away.cell)).collect(),
+            false => self.away.iter().filter(|away| entered.contains(away.cell)).copied().collect(),
         };
         let change = |cell: u16, sensor: SensorId, from_nanos: i64| {
             let size = self.change(cell, sensor, time.sensor, occupied.contains(cell), sensors);
@@ -166,8 +166,10 @@ impl LiveTile {
         rates.sort_by_key(|(cell, _)| *cell);
         self.add_rates(&rates);
         if observed != self.current {
-            self.leave(left);
-            self.enter(entered, &returned);
+            if !(left.is_empty() && returned.is_empty()) {
+                self.leave(left, &returned);
+            }
+            self.enter(entered, &returned, left);
             self.known |= observed;
             self.current = observed;
         }
@@ -232,38 +234,42 @@ impl LiveTile {
         }
     }
 
-    /// Turns current cells into away cells. Lists are sorted once for all cells: a moving robot changes most of a tile.
-    fn leave(&mut self, cells: Mask) {
-        if cells.is_empty() {
-            return;
-        }
+    /// Turns current cells into away cells, and removes the away cells that `returned`. Lists are merged, not sorted: a
+    /// moving robot changes most of a tile.
+    fn leave(&mut self, cells: Mask, returned: &[Away]) {
         let scans = i64::try_from(self.scans).unwrap_or(i64::MAX);
+        let mut away = Vec::with_capacity(self.away.len() - returned.len() + cells.count() as usize);
+        let mut returned = returned.iter().peekable();
+        let is_kept = |known: &&Away| returned.next_if(|away| away.cell == known.cell).is_none();
+        let mut kept = self.away.iter().filter(is_kept).peekable();
         let mut offsets = self.offsets.iter().peekable();
         for cell in cells.cells() {
+            away.extend(std::iter::from_fn(|| kept.next_if(|known| known.cell < cell)));
             while offsets.next_if(|(other, _)| *other < cell).is_some() {}
             let offset = offsets.next_if(|(other, _)| *other == cell).map_or(1, |(_, offset)| *offset);
             let pairs = u64::try_from(scans - offset).unwrap_or(0);
-            self.away.push(Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
+            away.push(Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
         }
-        self.away.sort_by_key(|away| away.cell);
-        self.offsets.retain(|(cell, _)| !cells.contains(*cell));
+        away.extend(kept);
+        self.away = away;
     }
 
-    /// Makes cells current; `returned`: the cells among them that were away.
-    fn enter(&mut self, cells: Mask, returned: &[Away]) {
+    /// Makes cells current, of which `returned` were away; `left`: the cells that are no longer current.
+    fn enter(&mut self, cells: Mask, returned: &[Away], left: Mask) {
         let scans = i64::try_from(self.scans + 1).unwrap_or(i64::MAX);
-        let known = self.offsets.len();
+        let mut offsets = Vec::with_capacity(self.offsets.len() + cells.count() as usize);
+        let mut kept = self.offsets.iter().filter(|(cell, _)| !left.contains(*cell)).peekable();
         let mut returned = returned.iter().peekable();
         for cell in cells.cells() {
+            offsets.extend(std::iter::from_fn(|| kept.next_if(|(known, _)| *known < cell)));
             let pairs = returned.next_if(|away| away.cell == cell).map_or(0, |away| away.pairs + 1);
             let offset = scans - i64::try_from(pairs).unwrap_or(i64::MAX);
             if offset != 1 {
-                self.offsets.push((cell, offset));
+                offsets.push((cell, offset));
             }
         }
-        if self.offsets.len() > known {
-            self.offsets.sort_by_key(|(cell, _)| *cell);
-        }
+        offsets.extend(kept);
+        self.offsets = offsets;
     }
 
     fn pairs_of_current(&self, cell: u16, scans: u64) -> u64 {

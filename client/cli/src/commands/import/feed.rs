@@ -80,8 +80,8 @@ pub(super) type ImportChunks = mpsc::Receiver<anyhow::Result<ImportChunk>>;
 pub(super) fn open(planned: &Planned, prepared: &Prepared, args: &ImportArgs) -> anyhow::Result<ImportChunks> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let merge = if args.every_point { None } else { prepared.cells() };
-    let period_nanos = args.period.unwrap_or(0);
-    let options = ConvertOptions { clock: args.times.into(), merge, period_nanos, at_header: args.at_stamp };
+    let options =
+        ConvertOptions { clock: args.times.into(), merge, period_nanos: args.period, at_header: args.at_stamp };
     let mut reader = Reader {
         converter: Converter::new(planned.surveyed.clone(), planned.plan.clone(), options),
         grid: prepared.grid.clone(),

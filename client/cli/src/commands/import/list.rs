@@ -5,15 +5,12 @@
 use tidemap_formats::table::Cell;
 use tidemap_recordings::{
     plan::{FrameChoice, GridUse, TopicPlan, pose_topics},
-    survey::{TakenPart, TakenPoses, TopicSurvey},
+    survey::{TakenPart, TakenPoses},
 };
 
 use super::{Planned, counts::TopicCounts};
 use crate::{commands::Session, progress::status_line};
 
-/// From this number of clouds on, at this rate per second, a notice recommends fewer.
-const FAST_CLOUDS_MIN: u64 = 100;
-const FAST_CLOUDS_RATE: f64 = 2.0;
 const COLUMNS: [&str; 7] = ["topic", "type", "messages", "becomes", "accepted", "skipped", "refused"];
 
 /// Prints what would become of the topics.
@@ -140,24 +137,5 @@ pub(super) fn report(planned: &Planned) {
     for topic in used.filter(|topic| topic.unread > 0) {
         let problem = topic.problem.as_deref().unwrap_or_default();
         status_line(&format!("{}: {} messages cannot be read: {problem}", topic.name, topic.unread));
-    }
-}
-
-/// Reports a topic with so many clouds that most of them add no information.
-pub(super) fn report_fast_clouds(planned: &Planned) {
-    let topics = planned.surveyed.topics.iter().zip(&planned.plan.topics);
-    let clouds = topics.filter(|(_, plan)| plan.grid == Some(GridUse::Clouds));
-    let rate = |topic: &TopicSurvey| {
-        let span = topic.stamps.or(topic.recorded)?;
-        let elapsed_secs = (span.last_nanos - span.first_nanos) as f64 / 1e9;
-        let rate = topic.messages.saturating_sub(1) as f64 / elapsed_secs;
-        (topic.messages >= FAST_CLOUDS_MIN && rate >= FAST_CLOUDS_RATE && rate.is_finite()).then_some(rate)
-    };
-    if let Some((topic, rate)) = clouds.filter_map(|(topic, _)| Some((topic, rate(topic)?))).next() {
-        status_line(&format!(
-            "{} has {rate:.0} clouds a second: --period 1s takes one of them, which is enough for rhythms of hours and \
-             days, and much faster",
-            topic.name
-        ));
     }
 }

@@ -71,3 +71,34 @@ fn of_two_scans_with_one_stamp_the_first_is_taken() {
     assert_eq!(made[2], Err(NotMade::Repeated));
     assert!(made[3].is_ok(), "each has its own time");
 }
+
+/// How many of ten clouds of a second are taken, of two frames each.
+fn clouds_taken(points: usize, period_nanos: Option<i64>) -> usize {
+    let point: (&[f32; 3], Vec<u8>) = (&[1.0, 0.0, 0.5], Vec::new());
+    let points = vec![point; points];
+    let mut recorded = Recorded::new();
+    for frame in ["left", "right"] {
+        for stamp in [7, 9] {
+            recorded.push(("/tf", TF, stamp * SECOND, transform(stamp * SECOND, ("odom", frame), [0.0; 3])));
+        }
+    }
+    for tenth in 0..10 {
+        for (frame, late) in [("left", 0), ("right", 1)] {
+            let stamp = 8 * SECOND + tenth * SECOND / 10 + late;
+            recorded.push(("/points", CLOUD, stamp, cloud(stamp, frame, &[], &points)));
+        }
+    }
+    let merge = Some(CellSize { resolution_m: 0.1, origin_m: [0.0; 3] });
+    let options = ConvertOptions { merge, period_nanos, ..ConvertOptions::default() };
+    let made = converted(&recorded, &Wishes::default(), options).made;
+    assert!(made.iter().all(|item| item.is_ok() || *item == Err(NotMade::Thinned)), "{made:?}");
+    made.iter().filter(|item| item.is_ok()).count()
+}
+
+#[test]
+fn of_clouds_with_many_points_one_a_second_is_taken_of_each_frame() {
+    assert_eq!(clouds_taken(CLOUD_POINTS_MANY, None), 2);
+    assert_eq!(clouds_taken(CLOUD_POINTS_MANY, Some(0)), 20);
+    assert_eq!(clouds_taken(CLOUD_POINTS_MANY - 1, None), 20, "they may be parts of one turn of the scanner");
+    assert_eq!(clouds_taken(2, Some(SECOND / 2)), 4);
+}
