@@ -10,6 +10,8 @@ use crate::bench::bench;
 
 /// Percent of the walls that have to be found, each within one cell.
 const WALLS_MIN: f64 = 90.0;
+/// Percent of the walls that have to be found in their own cells.
+const IN_PLACE_MIN: f64 = 90.0;
 /// Percent of the walls of each kind that have to be found.
 const KIND_MIN: f64 = 80.0;
 /// Maximum percent of the free cells that are walls.
@@ -45,7 +47,8 @@ fn figures(days: u32) -> (impl Fn(&str) -> f64, String) {
 /// The bounds that the walls miss.
 fn wrong_walls(figure: impl Fn(&str) -> f64) -> Vec<String> {
     assert!(figure("wall_cells") > 1_800.0 && figure("free_cells") > 40_000.0, "the robot saw too little");
-    let bounds = KINDS.map(|kind| (kind, KIND_MIN)).into_iter().chain([("walls_percent", WALLS_MIN)]);
+    let of_all = [("walls_percent", WALLS_MIN), ("walls_in_place_percent", IN_PLACE_MIN)];
+    let bounds = KINDS.map(|kind| (kind, KIND_MIN)).into_iter().chain(of_all);
     let missing = bounds.filter(|(name, min)| figure(name) < *min);
     let mut wrong: Vec<String> =
         missing.map(|(name, min)| format!("{name} is {:.1}, below {min}", figure(name))).collect();

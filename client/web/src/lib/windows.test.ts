@@ -53,7 +53,8 @@ suite('heights at first', () => {
         assert.deepEqual(heights(0.25, 0, 2), { low: 0.25, high: 1.25 });
     });
 
-    test('are all of a grid that is flat or lies elsewhere', () => {
+    test('are all of a grid that is flat, thin, or lies elsewhere', () => {
+        assert.deepEqual(heights(0, 0, 2), { low: 0, high: 1 });
         assert.deepEqual(heights(0, 0, 1, true), { low: 0, high: 0.5 });
         assert.deepEqual(heights(3, 0, 8), { low: 3, high: 7 });
         assert.deepEqual(heights(-4, 0, 8), { low: -4, high: 0 });

@@ -13,6 +13,8 @@ const STEP = 128;
 /** Heights that matter to a robot, metres above the map's z = 0; the floor and the ceiling are always occupied. */
 const LOW_M = 0.1;
 const HIGH_M = 1.8;
+/** A grid of at most this height, metres, is shown whole: it can have all its cells in the lowest layer. */
+const THIN_M = 1;
 
 /** The window to fetch; `undefined` if too many cells are visible. */
 export function visibleWindow(bounds: CellBox, grid: Grid | undefined, camera: Camera, size: { width: number; height: number }): Window2d | undefined {
@@ -39,6 +41,6 @@ export function defaultHeights(grid: Grid, bounds: CellBox): { low: number; high
     const metres = (layer: number) => grid.originZM + layer * grid.resolutionM;
     const [bottom, top] = [metres(bounds.minZ), metres(bounds.maxZ)];
     const round = (value: number) => Math.round(value * 100) / 100;
-    if (grid.flat || bottom >= HIGH_M || top <= LOW_M) return { low: round(bottom), high: round(top) };
+    if (grid.flat || top - bottom <= THIN_M || bottom >= HIGH_M || top <= LOW_M) return { low: round(bottom), high: round(top) };
     return { low: round(Math.max(bottom, LOW_M)), high: round(Math.min(top, HIGH_M)) };
 }
