@@ -121,6 +121,8 @@ async fn a_robot_that_restarts_takes_over_from_a_process_that_is_stopped() {
     }
     let pid = Pid::from_raw(i32::try_from(old.id()).expect("a number")).expect("a number");
     kill_process(pid, Signal::STOP).expect("stopped");
+    // The last reply of the old stream counts for a moment.
+    tokio::time::sleep(Duration::from_millis(200)).await;
     let mut new = impatient(&daemon.client()).await.expect("the old one does not respond");
     let before = new.progress().durable_sequence;
     new.send("door", 1_736_200_000_000_000_000, 0.0).await.expect("sent");
