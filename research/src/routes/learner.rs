@@ -15,7 +15,10 @@ use tidemap_map::{
     topology::Topology,
     traversal::Traversal,
 };
-use tidemap_model::{Sample, selector::Blend};
+use tidemap_model::{
+    Sample,
+    selector::{Blend, ModelSelector},
+};
 
 use super::{
     RoutesError, START_NANOS,
@@ -42,7 +45,7 @@ impl Learner {
         let mut map = NightlyMap::new(spec, producer);
         let load = building::load().map_err(RoutesError::setting)?;
         map.apply(&Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = EdgeForecasts::new(Arc::new(map.view()), SPEED_M_PER_S, blend);
+        let edges = EdgeForecasts::new(Arc::new(map.view()), SPEED_M_PER_S, selector(blend));
         Ok(Self { map, blend, edges })
     }
 
@@ -92,6 +95,10 @@ impl Learner {
     }
 
     fn refresh(&mut self) {
-        self.edges = EdgeForecasts::new(Arc::new(self.map.view()), SPEED_M_PER_S, self.blend);
+        self.edges = EdgeForecasts::new(Arc::new(self.map.view()), SPEED_M_PER_S, selector(self.blend));
     }
+}
+
+fn selector(blend: Blend) -> ModelSelector {
+    ModelSelector { blend, ..ModelSelector::default() }
 }

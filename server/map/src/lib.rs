@@ -35,6 +35,7 @@ pub mod update;
 pub mod view;
 
 mod directory;
+mod edge_prior;
 mod pending;
 mod prior_models;
 mod update_worth;

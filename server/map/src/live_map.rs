@@ -4,7 +4,10 @@
 //! [`UpdateWork`], runs elsewhere while observations continue, and returns through [`LiveMap::finish_update`]. At most
 //! one update runs at a time.
 
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::HashMap,
+    sync::{Arc, OnceLock},
+};
 
 use tidemap_grid::{live::LiveGrid, view::GridView};
 use tidemap_model::StateModel;
@@ -417,6 +420,7 @@ impl LiveMap {
             prior_models: self.prior_models.clone(),
             site: Arc::clone(&self.site),
             grid: self.grid.as_mut().map(GridView::new),
+            edge_success: OnceLock::new(),
         }
     }
 }

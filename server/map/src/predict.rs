@@ -98,6 +98,7 @@ impl MapView {
         match selector.kind {
             _ if is_default => {
                 model.predict_in_force_into(&self.spec.periodicities, &times.phasors, &times.moments, out);
+                self.draw_to_edges(id, &times.moments, out);
                 self.blend(id, &times.moments, selector, out);
             }
             ModelKind::Latest if live.persistence.last().is_none() => {

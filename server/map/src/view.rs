@@ -3,7 +3,7 @@
 //! Invariant: a view never changes. It is complete up to one log position: every observation acknowledged before the
 //! view was taken counts in it.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use tidemap_grid::view::GridView;
 use tidemap_model::StateModel;
@@ -46,6 +46,8 @@ pub struct MapView {
     pub(crate) prior_models: PriorModels,
     pub(crate) site: Arc<Site>,
     pub(crate) grid: Option<GridView>,
+    /// The mean success of the edges, computed at the first request.
+    pub(crate) edge_success: OnceLock<f64>,
 }
 
 /// The number of observations and scans that an update would learn.

@@ -83,13 +83,6 @@ impl ModelSelector {
         self.blend != Blend::None
     }
 
-    /// This model without the newest reading.
-    #[must_use]
-    #[inline]
-    pub fn unblended(self) -> ModelSelector {
-        ModelSelector { blend: Blend::None, ..self }
-    }
-
     /// The requested order, or the order that the last update chose; at most [`ORDER_MAX`].
     #[must_use]
     #[inline]

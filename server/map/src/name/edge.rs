@@ -117,6 +117,11 @@ impl StateName {
         edge.state(EdgeState::Pace)
     }
 
+    /// Whether this is the name of the success state of an edge.
+    pub(crate) fn is_edge_success(&self) -> bool {
+        split_edge(&self.0).is_some_and(|(what, _)| what == EdgeState::Success)
+    }
+
     /// Splits the name of an edge's state into quantity and edge.
     pub(crate) fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
         let (what, edge) = split_edge(&self.0)?;

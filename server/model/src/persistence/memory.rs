@@ -53,14 +53,12 @@ impl Persistence {
         if forgotten < 1.0 { gap_secs / -libm::log1p(-forgotten) } else { 0.0 }
     }
 
-    /// The weight of the last value at a time, from 0 to 1: e^(-(α+β)(t-T)), with 1/(α+β) at most `max_secs`. 0 before
-    /// the last observation.
-    pub fn memory_weight(&self, basis: MemoryBasis, max_secs: Option<f64>, utc_nanos: i64) -> f64 {
+    /// The weight of the last value at a time, from 0 to 1: e^(-(α+β)(t-T)). 0 before the last observation.
+    pub fn memory_weight(&self, basis: MemoryBasis, utc_nanos: i64) -> f64 {
         match self.parts.last {
             Some((last_nanos, _)) if utc_nanos == last_nanos => 1.0,
             Some((last_nanos, _)) if utc_nanos > last_nanos => {
-                let memory_secs = self.memory_secs(basis).min(max_secs.unwrap_or(f64::INFINITY));
-                libm::exp(-secs_between(last_nanos, utc_nanos) / memory_secs)
+                libm::exp(-secs_between(last_nanos, utc_nanos) / self.memory_secs(basis))
             }
             _ => 0.0,
         }
@@ -69,7 +67,7 @@ impl Persistence {
     /// The long-term prediction `p` for a time, drawn to the last value by the chain: RAS 2017, eq. 6, with `p` in
     /// place of the chain's constant α/(α+β).
     pub fn remember(&self, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
-        let weight = self.memory_weight(basis, None, utc_nanos);
+        let weight = self.memory_weight(basis, utc_nanos);
         self.parts.last.map_or(p, |(_, last_value)| last_value * weight + p * (1.0 - weight))
     }
 }
@@ -119,7 +117,7 @@ mod tests {
     fn of_independent_readings_nothing_is_remembered() {
         let (known, basis) = chain(1.0, 0.02, 3600.0, 0.9);
         let (last_nanos, _) = known.last().unwrap();
-        assert!(known.memory_weight(basis, None, last_nanos + 600_000_000_000) < 0.3);
+        assert!(known.memory_weight(basis, last_nanos + 600_000_000_000) < 0.3);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Forecasts of the edges of a map at any time, for routes and policies.
 //!
-//! Invariant: all forecasts are of one view. Success is predicted by the requested model, speeds by the model that the
-//! last update chose.
+//! Invariant: all forecasts are of one view. Success is predicted by the requested model, as a query of the edge's state
+//! predicts it; speeds are predicted by the default model.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -40,11 +40,10 @@ impl Edges {
     ) -> Result<Edges, RpcError> {
         let forecast_view = Arc::clone(view);
         let edges =
-            routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector.blend)).await?;
+            routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let indices = states.iter().enumerate().map(|(index, &id)| (id, index)).collect();
-        let alone = selector.unblended();
-        let predictor = Predictor::new(routes.predict_context(), handle, view, states, alone).await?;
+        let predictor = Predictor::new(routes.predict_context(), handle, view, states, selector).await?;
         Ok(Edges { edges, indices, predictor })
     }
 
