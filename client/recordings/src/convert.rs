@@ -27,9 +27,9 @@ use crate::{
     survey::{Surveyed, TopicReader, TopicTable, connection},
 };
 
-/// One cloud of a topic and frame is taken in this time, unless an option gives another, if the clouds have many points.
-/// Cells are learned from half-hour bins: more clouds cost time and change hardly anything. Clouds of few points can be
-/// parts of a turn of the scanner, and all are taken.
+/// One cloud of a topic and frame is taken in this time by default, if the clouds have many points. Cells are learned
+/// from half-hour bins: more clouds cost time and change hardly anything. Clouds of few points can be parts of a turn
+/// of the scanner, and all are taken.
 pub const CLOUD_PERIOD_NANOS: i64 = 1_000_000_000;
 /// Clouds of this number of points or more have many.
 pub const CLOUD_POINTS_MANY: usize = 20_000;
