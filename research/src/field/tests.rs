@@ -51,7 +51,17 @@ fn a_forecast_knows_nothing_that_is_nearer_than_its_lead_time() {
     let never = forecasts(&changed_at(i64::MAX));
     assert_eq!(never.len(), 144 * Lead::ALL.len(), "all lead times have a view");
     let newest = BASELINES.iter().position(|name| *name == "newest").expect("a baseline");
-    for change in [midnight + DAY / 2, midnight - 3 * DAY, midnight - 10 * DAY, midnight - 27 * DAY - 20 * MINUTE] {
+    // The time of the first reading of 1, and how many forecasts of each lead time know it.
+    let changes = [
+        (midnight + DAY / 2, [71, 66, 0, 0, 0]),
+        (midnight, [143, 138, 0, 0, 0]),
+        (midnight - 10 * MINUTE, [144, 139, 144, 0, 0]),
+        (midnight - 6 * DAY, [144, 144, 144, 0, 0]),
+        (midnight - 6 * DAY - 10 * MINUTE, [144, 144, 144, 144, 0]),
+        (midnight - 27 * DAY, [144, 144, 144, 144, 0]),
+        (midnight - 27 * DAY - 10 * MINUTE, [144; Lead::ALL.len()]),
+    ];
+    for (change, expected) in changes {
         let mut knew = [0; Lead::ALL.len()];
         for (forecast, before) in forecasts(&changed_at(change)).iter().zip(&never) {
             let time = forecast.truth.utc_nanos;
@@ -75,11 +85,7 @@ fn a_forecast_knows_nothing_that_is_nearer_than_its_lead_time() {
                 assert!(value(forecast, 1) > value(before, 1), "the newest reading counts: {forecast:?}");
             }
         }
-        // At noon: 71 of the 72 readings that follow are five minutes later than a reading of 1, and 66 an hour later.
-        let today = [71, 66, 0, 0, 0];
-        let known_from = |lead: i64| if midnight - lead * DAY > change { 144 } else { 0 };
-        let earlier = [144, 144, known_from(0), known_from(6), known_from(27)];
-        assert_eq!(knew, if change > midnight { today } else { earlier });
+        assert_eq!(knew, expected);
     }
 }
 
