@@ -18,7 +18,7 @@ use std::{
 
 use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
 use tidemap_model::{
-    OffsetCache, Sample, StateKind,
+    OffsetCache, Sample, StateKind, Zone,
     time::{format_rfc3339, parse_time},
 };
 
@@ -279,7 +279,8 @@ fn sort(samples: &mut [Vec<Sample>]) {
     }
 }
 
-struct Reader<'a> {
+/// A reader of files of readings.
+pub(crate) struct Reader<'a> {
     key: &'static str,
     format: RowFormat,
     kind: StateKind,
@@ -289,9 +290,17 @@ struct Reader<'a> {
     offsets: OffsetCache,
 }
 
+impl Reader<'static> {
+    /// A reader of all states of files whose states have one kind.
+    pub(crate) fn all_states(format: RowFormat, kind: StateKind, zone: &Zone) -> Self {
+        let offsets = zone.offset_cache();
+        Reader { key: "data", format, kind, requested: &[], wanted: HashSet::new(), offsets }
+    }
+}
+
 impl Reader<'_> {
     /// Calls `take` for each row of the protocol's states; refuses a file without any.
-    fn read(
+    pub(crate) fn read(
         &mut self,
         path: &Path,
         mut take: impl FnMut(&str, Sample) -> Result<(), DataError>,

@@ -1,8 +1,8 @@
 //! Experiments without a daemon: models, explorers, searches and routes compared on recordings and in simulations.
 //!
 //! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap-research
-//! compare` does. [`explore`], [`search`], [`routes`], [`tasks`], [`habits`], [`activity`] and [`flows`] are others;
-//! protocols end in .yaml or .yml, so that a new kind never conflicts with a file's name.
+//! compare` does. [`explore`], [`search`], [`routes`], [`tasks`], [`habits`], [`field`], [`activity`] and [`flows`] are
+//! others; protocols end in .yaml or .yml, so that a new kind never conflicts with a file's name.
 //!
 //! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
 //! - `data.rs`: files to readings by state, in portions of states that fit into memory; one invalid row stops it;
@@ -29,6 +29,7 @@ pub mod activity;
 mod compared;
 mod data;
 pub mod explore;
+pub mod field;
 pub mod flows;
 pub mod habits;
 pub mod localise;
@@ -45,6 +46,7 @@ mod score;
 pub mod search;
 mod seed_mean;
 mod seed_runs;
+mod tally;
 pub mod tasks;
 mod tuning;
 

@@ -18,6 +18,7 @@ use tidemap_research::{
     ModelResult, ProtocolError,
     activity::{self, ACTIVITY_MODELS, ActivityClassifier, ActivityModel, ActivityProtocol},
     explore::{self, ExploreProtocol, office},
+    field::{self, FIELD_RECORDINGS, FieldProtocol, FieldRecording},
     flows::{self, FlowsProtocol},
     habits::{self, HABITS, Habit, HabitsProtocol},
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
@@ -74,6 +75,8 @@ enum ExperimentKind {
     Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
     Habits(HabitsArgs),
+    /// Predicts the last days of recordings by lead time, and reports the errors beside those of simple tables
+    Field(FieldArgs),
     /// Predicts flows of people on a simulated floor, and sends robots across that avoid them
     Flows(FlowsArgs),
     /// Recognises the activities of a recording with the help of the time and place, and reports each model's scores
@@ -147,6 +150,24 @@ struct HabitsArgs {
 fn habit(name: &str) -> Result<&'static Habit, String> {
     let names = || HABITS.each_ref().map(|habit| habit.name).join(", ");
     Habit::named(name).ok_or_else(|| format!("there is no such habit; the habits are {}", names()))
+}
+
+#[derive(Debug, Args)]
+struct FieldArgs {
+    /// Folder of data, with the folders of the recordings
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+    /// The recordings, with commas between them; all by default
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', value_parser = field_recording)]
+    recordings: Vec<&'static FieldRecording>,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "field-results")]
+    out: PathBuf,
+}
+
+fn field_recording(name: &str) -> Result<&'static FieldRecording, String> {
+    let names = || FIELD_RECORDINGS.each_ref().map(|recording| recording.name).join(", ");
+    FieldRecording::named(name).ok_or_else(|| format!("there is no such recording; the recordings are {}", names()))
 }
 
 #[derive(Debug, Args)]
@@ -243,7 +264,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, tasks, habits, activity, flows, localise"
+             search, routes, tasks, habits, field, activity, flows, localise"
                 .to_owned(),
         ),
     }
@@ -271,6 +292,7 @@ fn run(line: ResearchLine) -> anyhow::Result<ExitCode> {
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
         (Some(ExperimentKind::Tasks(args)), _) => tasks(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
+        (Some(ExperimentKind::Field(args)), _) => field(args, format),
         (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
         (Some(ExperimentKind::Flows(args)), _) => flows(args, format),
         (Some(ExperimentKind::Activity(args)), _) => activity(args, format),
@@ -434,6 +456,25 @@ fn habits(args: HabitsArgs, format: Format) -> anyhow::Result<ExitCode> {
         habits::write,
         |outcome, stdout| habits::summary(outcome, format, stdout),
     )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn field(args: FieldArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let FieldArgs { folder, recordings, out } = args;
+    let protocol = FieldProtocol { folder, recordings };
+    let outcome = conduct(
+        &out,
+        "runs",
+        |bar| Ok(field::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        field::write,
+        |outcome, stdout| field::summary(outcome, format, stdout),
+    )?;
+    outcome.left_out.iter().for_each(|notice| status_line(notice));
+    let (learning, asking) = outcome
+        .seconds
+        .iter()
+        .fold((0.0, 0.0), |(learning, asking), run| (learning + run.learning, asking + run.asking));
+    status_line(&format!("{learning:.0} s of learning and {asking:.0} s of asking, all threads together"));
     Ok(ExitCode::SUCCESS)
 }
 

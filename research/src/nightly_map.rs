@@ -48,8 +48,13 @@ impl NightlyMap {
 
     /// Adds a probability, with the next number.
     pub(crate) fn add_probability(&mut self, name: StateName) -> Result<StateId, InconsistentEvent> {
+        self.add_state(name, StateKind::Probability)
+    }
+
+    /// Adds a state of a kind, with the next number.
+    pub(crate) fn add_state(&mut self, name: StateName, kind: StateKind) -> Result<StateId, InconsistentEvent> {
         let id = StateId(self.map.states() as u32);
-        self.apply(&Event::AddState(NewState::sampled(id, name, StateKind::Probability)))?;
+        self.apply(&Event::AddState(NewState::sampled(id, name, kind)))?;
         Ok(id)
     }
 

@@ -50,9 +50,14 @@ impl SetErrors {
 
     fn add(&mut self, predicted: f64, value: f64) {
         self.errors.add(predicted, value);
-        let p = predicted.clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
-        self.log_loss_sum -= value * p.ln() + (1.0 - value) * (1.0 - p).ln();
+        self.log_loss_sum += log_loss(predicted, value);
     }
+}
+
+/// -ln of the predicted probability of an observed value, nats.
+pub(crate) fn log_loss(predicted: f64, value: f64) -> f64 {
+    let p = predicted.clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
+    -(value * p.ln() + (1.0 - value) * (1.0 - p).ln())
 }
 
 /// The score of a model at one lead time.

@@ -3,39 +3,16 @@
 //! Invariant: a prediction uses readings of earlier days only. Each reading counts once.
 
 use super::{calendar::Calendar, world::Look};
+use crate::tally::{Tally, WEEK_HOURS, bounded};
 
 /// The names of the baselines, in the order of [`Baselines::predict`].
 pub const BASELINES: [&str; 5] =
     ["hour of week", "hour of weekday or weekend", "hour of week, fading", "last week", "yesterday"];
-/// After this many days a reading counts half in the fading table.
-const HALF_LIFE_DAYS: f64 = 21.0;
 /// Steps of a day and of a week.
 const DAY_STEPS: usize = 144;
 const WEEK_STEPS: usize = 7 * DAY_STEPS;
 /// If a step has no reading, these steps around it are tried in turn.
 const AROUND: [isize; 7] = [0, -1, 1, -2, 2, -3, 3];
-/// A prediction from a single reading is at least this far from 0 and 1.
-const CERTAIN: f64 = 0.02;
-const WEEK_HOURS: usize = 168;
-
-/// Sum and number of readings.
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    sum: f64,
-    looks: f64,
-}
-
-impl Tally {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.looks += 1.0;
-    }
-
-    /// The mean with a reading of 0 and one of 1 before all others (Laplace).
-    fn mean(self) -> f64 {
-        (self.sum + 1.0) / (self.looks + 2.0)
-    }
-}
 
 /// The baselines of one state.
 #[derive(Clone, Debug)]
@@ -64,11 +41,10 @@ impl Baselines {
     /// The probability of 1 at a step, by each of [`BASELINES`].
     pub(super) fn predict(&self, calendar: &Calendar, step: usize) -> [f64; BASELINES.len()] {
         let hour = calendar.hour_of_week(step);
-        let Tally { sum, looks } = self.fading[hour];
         [
-            self.hours[hour].mean(),
-            self.kinds[kind_of(hour)].mean(),
-            (sum + self.all.mean()) / (looks + 1.0),
+            self.hours[hour].laplace(),
+            self.kinds[kind_of(hour)].laplace(),
+            self.fading[hour].shrunk(self.all.laplace()),
             self.before(step, WEEK_STEPS),
             self.before(step, DAY_STEPS),
         ]
@@ -76,16 +52,15 @@ impl Baselines {
 
     /// The reading this many steps before.
     fn before(&self, step: usize, steps: usize) -> f64 {
-        let Some(then) = step.checked_sub(steps) else { return bounded(self.all.mean()) };
+        let Some(then) = step.checked_sub(steps) else { return bounded(self.all.laplace()) };
         let seen = |around: isize| self.values.get(then.checked_add_signed(around)?).copied().flatten();
-        bounded(AROUND.into_iter().find_map(seen).unwrap_or_else(|| self.all.mean()))
+        bounded(AROUND.into_iter().find_map(seen).unwrap_or_else(|| self.all.laplace()))
     }
 
     /// Learns the readings of a day.
     pub(super) fn learn(&mut self, calendar: &Calendar, looks: &[Look]) {
-        let kept = 0.5_f64.powf(1.0 / HALF_LIFE_DAYS);
         for tally in &mut self.fading {
-            *tally = Tally { sum: kept * tally.sum, looks: kept * tally.looks };
+            *tally = tally.a_day_later();
         }
         for look in looks {
             let (hour, value) = (calendar.hour_of_week(look.step), look.sample.value);
@@ -101,8 +76,4 @@ impl Baselines {
 /// The hour of the day, from 24 on of a weekend.
 fn kind_of(hour_of_week: usize) -> usize {
     hour_of_week % 24 + if hour_of_week >= 5 * 24 { 24 } else { 0 }
-}
-
-fn bounded(p: f64) -> f64 {
-    p.clamp(CERTAIN, 1.0 - CERTAIN)
 }
