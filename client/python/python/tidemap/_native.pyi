@@ -24,6 +24,8 @@ class OpenProducer:
         ranges_m: npt.NDArray[np.float32],
         min_range_m: float,
         max_range_m: float,
+        free_range_m: float,
+        trusted_range_m: float,
         frame_id: str,
     ) -> int: ...
     def send_cloud(
@@ -56,6 +58,8 @@ class NativeQueue:
         ranges_m: npt.NDArray[np.float32],
         min_range_m: float,
         max_range_m: float,
+        free_range_m: float,
+        trusted_range_m: float,
         frame_id: str,
     ) -> int: ...
     def send_cloud(
