@@ -20,6 +20,7 @@ mod numbers;
 mod outlook;
 mod pool;
 mod recall;
+mod recalled;
 mod rotation;
 mod season;
 mod smooth_table;
@@ -37,6 +38,7 @@ pub use numbers::{NumberEnsemble, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
 use pool::{Member, Pool};
 use recall::Recall;
+use recalled::RecalledDays;
 use rotation::Rotation;
 use season::Season;
 use smooth_table::{KindHours, smooth_table};
@@ -243,7 +245,8 @@ impl Ensemble {
         }
         self.pool.learn(&losses);
         self.calibration.learn(&forecast, bins);
-        self.outlook.judge(day, bins, &self.season);
+        let (recall, rotation) = (&self.recall, self.rotation.days() as i32);
+        self.outlook.judge(day, bins, &self.season, |cut| RecalledDays::new(recall, rotation, day, cut));
         let weekday = day.weekday();
         self.all.learn(weekday, bins, &members.all);
         self.recent.learn(weekday, bins, &members.recent);
@@ -255,7 +258,7 @@ impl Ensemble {
         self.learn_alike(kind_of_day(weekday), bins);
         self.add(day, bins);
         self.make_smooth();
-        let turns = Outlook::turns(last, day);
+        let turns = Outlook::turns(last, day, self.season.first);
         if turns.contains(&true) {
             let profile = self.profile(chosen);
             self.outlook.keep(turns, day, &profile);
