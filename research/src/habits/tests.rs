@@ -244,7 +244,8 @@ fn the_map_learns_as_that_of_a_daemon_does() {
 
 #[test]
 fn a_new_bar_is_predicted_before_it_is_learned() {
-    let protocol = HabitsProtocol { seeds: 2, first_seed: 5, ahead_days: 1, habits: vec![named("new-noise"), named("new-bar")] };
+    let protocol =
+        HabitsProtocol { seeds: 2, first_seed: 5, ahead_days: 1, habits: vec![named("new-noise"), named("new-bar")] };
     let outcome = run(&protocol, &|_, _| {}).expect("a run");
     let names: Vec<&str> = outcome.habits.iter().map(|row| row.habit.name).collect();
     assert_eq!(names, ["new-bar", "new-noise"], "in the order of all habits");

@@ -35,7 +35,7 @@ use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
 pub use numbers::{NumberEnsemble, OtherModels};
-use outlook::{FarWeights, Outlook, Profile};
+use outlook::{FarWeights, Outlook, Profile, near_losses};
 use pool::{Member, Pool};
 use recall::Recall;
 use recalled::RecalledDays;
@@ -245,8 +245,9 @@ impl Ensemble {
         }
         self.pool.learn(&losses);
         self.calibration.learn(&forecast, bins);
-        let (recall, rotation) = (&self.recall, self.rotation.days() as i32);
-        self.outlook.judge(day, bins, &self.season, |cut| RecalledDays::new(recall, rotation, day, cut));
+        let (recall, rotation, near) = (&self.recall, self.rotation.days() as i32, near_losses(&self.pool));
+        let recalled = |cut| RecalledDays::new(recall, rotation, day, cut);
+        self.outlook.judge(day, bins, &self.season, &near, recalled);
         let weekday = day.weekday();
         self.all.learn(weekday, bins, &members.all);
         self.recent.learn(weekday, bins, &members.recent);

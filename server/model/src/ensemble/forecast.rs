@@ -3,7 +3,7 @@
 //! Invariant: a forecast of a day uses no half-hour bin of that day except those in the tables.
 
 use super::bins::{SLOT_NANOS, SLOTS, slot_at};
-use super::outlook::{CLASSES, class_of};
+use super::outlook::{CLASSES, class_of, near_losses};
 use super::pool::{MEMBERS, Member};
 use super::recalled::same_weekdays_of_month;
 use super::stack::{FEATURES, Features, clip, log_odds};
@@ -192,9 +192,9 @@ impl Ensemble {
     fn far(&self, chosen: &dyn TemporalModel) -> &FarView {
         self.far.get_or_init(|| {
             let profile = self.profile(chosen);
-            let mut classes = 0..CLASSES;
-            let weights = [(); CLASSES]
-                .map(|()| self.outlook.weights(classes.next().unwrap_or(0), self.season.rhythm.is_known()));
+            let (mut classes, near) = (0..CLASSES, near_losses(&self.pool));
+            let has_rhythm = self.season.rhythm.is_known();
+            let weights = [(); CLASSES].map(|()| self.outlook.weights(classes.next().unwrap_or(0), has_rhythm, &near));
             Box::new(FarView { profile, weights })
         })
     }

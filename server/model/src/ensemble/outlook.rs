@@ -2,13 +2,14 @@
 //!
 //! A model predicts at the lead times at which it was scored. Every week, four weeks, quarter and year the ensemble
 //! stores the forecasts of its members for each hour of the week; half-hour bins at that lead time are compared with
-//! the stored forecasts. The members are weighted by these losses, for each lead-time class. A class with too few bins
-//! takes over the losses of the shorter classes for members without a window; in such a class a member with a window
-//! has no weight far beyond it. The plain mean has a weight of its own: the share of the bins that it explains, against
-//! the pool. Invariant: predictions lie strictly between 0 and 1.
+//! the stored forecasts, and with those that repeat days before them. The members are weighted by these losses, for each
+//! lead-time class. A class with too few bins takes over the losses of the next days and of the shorter classes for
+//! members without a window; in such a class a member with a window has no weight far beyond it. The plain mean has a
+//! weight of its own: the share of the bins that it explains, against the pool. Invariant: predictions lie strictly
+//! between 0 and 1.
 
 use super::bins::DayBins;
-use super::pool::normalised;
+use super::pool::{Member, Pool, normalised};
 use super::recalled::{RECALLED, RecalledDays};
 use super::season::{Rhythm, Season};
 use super::stack::{clip, log_odds, probability};
@@ -71,6 +72,8 @@ const DEPENDENCE: f64 = 0.8;
 const BINS_MIN: f64 = 20.0;
 /// The losses of a class count with this factor for the next longer class.
 const CARRIED: f64 = 0.3;
+/// The losses of the next days count with this factor, and with [`CARRIED`], for the first class.
+const CARRIED_NEAR: f64 = 0.3;
 /// A member with a window that is not yet scored has a weight up to a lead time of this many windows.
 const WINDOWS: f64 = 4.0;
 /// The share of a class's sums that remains after each further observed day.
@@ -80,7 +83,7 @@ const FLAT_YEAR: f64 = 0.15;
 /// No forecasts are stored before the record spans this many days.
 const SPAN_MIN_DAYS: i64 = 14;
 /// At most this many bins of a day count.
-const BINS_OF_DAY: f64 = 3.0;
+const BINS_OF_DAY: f64 = 8.0;
 /// The share of the mean before the first bin, and how many bins that counts as.
 const MEAN_SHARE: f64 = 0.1;
 const MEAN_BINS: f64 = 5.0;
@@ -234,6 +237,13 @@ fn members_of_stored(
     members(parts, day, &stored.rhythm, season)
 }
 
+/// The losses of the members on the next days. The members of the year have that of the mean or of the table that they
+/// move.
+pub(super) fn near_losses(pool: &Pool) -> [f64; FAR_MEMBERS] {
+    use Member::{Alike, Chosen, Mean, Nth, RecentWeekday, Rotation, Weekday};
+    [Mean, Weekday, RecentWeekday, Mean, Weekday, Mean, Chosen, Rotation, Alike, Nth].map(|member| pool.counted(member))
+}
+
 /// The weighted mean of the members.
 fn pooled(values: &[f64; FAR_MEMBERS], weights: &[f64; FAR_MEMBERS]) -> f64 {
     values.iter().zip(weights).map(|(value, weight)| value * weight).sum()
@@ -268,8 +278,9 @@ impl Outlook {
         (mean + MEAN_SHARE * MEAN_BINS) / (pool + mean + MEAN_BINS)
     }
 
-    /// The weights of a class. `has_rhythm`: a rhythm of the year is known.
-    pub(super) fn weights(&self, class: usize, has_rhythm: bool) -> FarWeights {
+    /// The weights of a class. `has_rhythm`: a rhythm of the year is known; `near`: the losses of the members on the
+    /// next days.
+    pub(super) fn weights(&self, class: usize, has_rhythm: bool, near: &[f64; FAR_MEMBERS]) -> FarWeights {
         let counted = |class: usize, member: usize| {
             f64::from(self.classes[class].losses[member]) * libm::pow(AHEAD_DAYS[class] as f64, -DEPENDENCE)
         };
@@ -282,25 +293,29 @@ impl Outlook {
                 *log = f64::NEG_INFINITY;
             }
         }
-        for shorter in 0..class {
-            let unlimited = |place: &usize| ALL[*place].window_days().is_none();
-            let least =
-                (0..FAR_MEMBERS).filter(unlimited).map(|place| counted(shorter, place)).fold(f64::INFINITY, f64::min);
-            let carried = libm::pow(CARRIED, (class - shorter) as f64) * BINS_MIN / (BINS_MIN + bins);
+        let unlimited = |place: &usize| ALL[*place].window_days().is_none();
+        let mut carry = |classes: usize, factor: f64, loss: &dyn Fn(usize) -> f64| {
+            let least = (0..FAR_MEMBERS).filter(unlimited).map(loss).fold(f64::INFINITY, f64::min);
+            let carried = factor * libm::pow(CARRIED, classes as f64) * BINS_MIN / (BINS_MIN + bins);
             for (place, log) in logs.iter_mut().enumerate() {
-                *log -= carried * if unlimited(&place) { counted(shorter, place) } else { least };
+                *log -= carried * if unlimited(&place) { loss(place) } else { least };
             }
+        };
+        carry(class + 1, CARRIED_NEAR, &|place| near[place]);
+        for shorter in 0..class {
+            carry(class - shorter, 1.0, &|place| counted(shorter, place));
         }
         FarWeights { weights: normalised(logs), mean_share: self.mean_share(class) }
     }
 
-    /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has. `recalled`: the days
-    /// before a cut that a forecast for the day uses.
+    /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has. `near`: the
+    /// losses of the members on the next days; `recalled`: the days before a cut that a forecast for the day uses.
     pub(super) fn judge<'a>(
         &mut self,
         day: LocalDay,
         bins: &DayBins,
         season: &Season,
+        near: &[f64; FAR_MEMBERS],
         recalled: impl Fn(LocalDay) -> RecalledDays<'a>,
     ) {
         let seen: Vec<(usize, f64)> = bins.seen().collect();
@@ -308,7 +323,7 @@ impl Outlook {
             return;
         }
         for (class, &ahead_days) in AHEAD_DAYS.iter().enumerate() {
-            let far = self.weights(class, season.rhythm.is_known());
+            let far = self.weights(class, season.rhythm.is_known(), near);
             let known = &mut self.classes[class];
             let Some(stored) = known.stored[1].as_deref() else { continue };
             if i64::from(day.0) - i64::from(stored.day.0) < ahead_days {
@@ -365,6 +380,8 @@ impl Outlook {
 mod tests {
     use super::*;
 
+    const UNSCORED: [f64; FAR_MEMBERS] = [0.0; FAR_MEMBERS];
+
     #[test]
     fn lead_times_have_classes() {
         assert_eq!([0, 6, 7, 27, 28, 90, 91, 363, 364, 9_999].map(class_of), {
@@ -375,10 +392,10 @@ mod tests {
     #[test]
     fn a_window_is_not_used_beyond_itself_before_it_is_scored() {
         let outlook = Outlook::new();
-        let (near, far) = (outlook.weights(0, false), outlook.weights(2, false));
+        let (near, far) = (outlook.weights(0, false, &UNSCORED), outlook.weights(2, false, &UNSCORED));
         let recent = FarMember::Recent as usize;
         assert!(near.weights[recent] > 0.0 && far.weights[recent] == 0.0);
-        assert_eq!(outlook.weights(3, false).weights[FarMember::Chosen as usize], 0.0);
+        assert_eq!(outlook.weights(3, false, &UNSCORED).weights[FarMember::Chosen as usize], 0.0);
         assert!((far.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
     }
 
