@@ -13,10 +13,13 @@
 //! Invariant: predictions use readings of earlier days only, and the same protocol gives the same figures for any
 //! number of threads.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::{
+    collections::VecDeque,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use rayon::prelude::*;
-use tidemap_map::{live_map::InconsistentEvent, update::SumsUnavailable};
+use tidemap_map::{live_map::InconsistentEvent, update::SumsUnavailable, view::MapView};
 
 mod baselines;
 mod calendar;
@@ -53,6 +56,8 @@ pub struct HabitsProtocol {
     pub first_seed: u64,
     /// The habits; all, if there is none.
     pub habits: Vec<&'static Habit>,
+    /// The lead time in days, at least 1: a day is predicted with the readings until so many days before its end.
+    pub ahead_days: u32,
 }
 
 /// Why the experiment fails.
@@ -105,7 +110,7 @@ pub fn run(protocol: &HabitsProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> 
         .into_par_iter()
         .with_max_len(1)
         .map(|(habit, seed)| {
-            let scores = scores_of(habits[habit], seed);
+            let scores = scores_of(habits[habit], seed, protocol.ahead_days);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             Ok((habit, scores?))
         })
@@ -118,8 +123,8 @@ pub fn run(protocol: &HabitsProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> 
     Ok(HabitsComparison { habits: habits.iter().enumerate().map(of_habit).collect() })
 }
 
-/// The scores of a habit with one seed.
-fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
+/// The scores of a habit with one seed at a lead time in days.
+fn scores_of(habit: &Habit, seed: u64, ahead_days: u32) -> Result<Scores, HabitsError> {
     let world = HabitWorld::new(habit, seed).map_err(HabitsError::setting)?;
     let calendar = &world.calendar;
     let first_nanos = calendar.steps.first().map_or(0, |step| step.utc_nanos);
@@ -127,9 +132,16 @@ fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
     let mut baselines = Baselines::new(calendar);
     let mut scores = Scores::default();
     let first_test_day = world.first_test_day(habit);
+    // The views and baselines of the last midnights, the oldest first.
+    let mut known: VecDeque<(MapView, Baselines)> = VecDeque::new();
     for day in 0..calendar.days.len() {
-        if day >= first_test_day {
-            score_day(&mut scores, &world, day, &mut learner, &baselines);
+        known.push_back((learner.view(), baselines.clone()));
+        if known.len() > ahead_days as usize {
+            known.pop_front();
+        }
+        let oldest = known.front().filter(|_| known.len() == ahead_days as usize);
+        if let Some((view, baselines)) = oldest.filter(|_| day >= first_test_day) {
+            score_day(&mut scores, &world, day, view, baselines, ahead_days);
         }
         let next = calendar.steps.get(calendar.days[day].steps.end);
         // After the last day nothing is predicted.
@@ -141,16 +153,23 @@ fn scores_of(habit: &Habit, seed: u64) -> Result<Scores, HabitsError> {
 }
 
 /// Adds the scores of a day that no model has learned yet.
-fn score_day(scores: &mut Scores, world: &HabitWorld, day: usize, learner: &mut HabitLearner, baselines: &Baselines) {
+fn score_day(
+    scores: &mut Scores,
+    world: &HabitWorld,
+    day: usize,
+    view: &MapView,
+    baselines: &Baselines,
+    ahead_days: u32,
+) {
     let HabitWorld { calendar, truth, values, .. } = world;
     let steps = calendar.days[day].steps.clone();
     let times: Vec<i64> = calendar.steps[steps.clone()].iter().map(|step| step.utc_nanos).collect();
     let middles: Vec<i64> = times.iter().copied().skip(HOUR_STEPS / 2).step_by(HOUR_STEPS).collect();
-    let ahead = learner.ask(&times, &middles);
+    let ahead = HabitLearner::ask(view, &times, &middles);
     for (step, &p) in steps.clone().zip(&ahead.values) {
         scores.auto.add(p, values[step]);
         scores.truth.add(truth[step], values[step]);
-        for (errors, p) in scores.baselines.iter_mut().zip(baselines.predict(calendar, step)) {
+        for (errors, p) in scores.baselines.iter_mut().zip(baselines.predict(calendar, step, ahead_days)) {
             errors.add(p, values[step]);
         }
         for (sure, within) in scores.sure.iter_mut().zip(SURE_WITHIN) {

@@ -142,6 +142,9 @@ struct HabitsArgs {
     /// The habits, with commas between them; all by default
     #[arg(long, value_name = "HABIT,…", value_delimiter = ',', value_parser = habit)]
     habits: Vec<&'static Habit>,
+    /// Lead time in days: 1 predicts the next day
+    #[arg(long, value_name = "DAYS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    ahead: u32,
     /// Folder of the results
     #[arg(long, value_name = "DIR", default_value = "habits-results")]
     out: PathBuf,
@@ -447,8 +450,8 @@ fn localise(args: &LocaliseArgs, format: Format) -> anyhow::Result<ExitCode> {
 }
 
 fn habits(args: HabitsArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let HabitsArgs { seeds, first_seed, habits, out } = args;
-    let protocol = HabitsProtocol { seeds, first_seed, habits };
+    let HabitsArgs { seeds, first_seed, habits, ahead, out } = args;
+    let protocol = HabitsProtocol { seeds, first_seed, habits, ahead_days: ahead };
     conduct(
         &out,
         "runs",

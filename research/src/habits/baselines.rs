@@ -38,14 +38,15 @@ impl Baselines {
         }
     }
 
-    /// The probability of 1 at a step, by each of [`BASELINES`].
-    pub(super) fn predict(&self, calendar: &Calendar, step: usize) -> [f64; BASELINES.len()] {
+    /// The probability of 1 at a step, by each of [`BASELINES`]. `ahead_days`: the lead time, at least 1.
+    pub(super) fn predict(&self, calendar: &Calendar, step: usize, ahead_days: u32) -> [f64; BASELINES.len()] {
+        let weeks = ahead_days.div_ceil(7).max(1) as usize;
         let hour = calendar.hour_of_week(step);
         [
             self.hours[hour].laplace(),
             self.kinds[kind_of(hour)].laplace(),
             self.fading[hour].shrunk(self.all.laplace()),
-            self.before(step, WEEK_STEPS),
+            self.before(step, weeks * WEEK_STEPS),
             self.before(step, DAY_STEPS),
         ]
     }

@@ -46,9 +46,9 @@ impl HabitLearner {
         self.0.view()
     }
 
-    /// Predictions at times in nanoseconds UTC, and of hours, each by its middle.
-    pub(super) fn ask(&mut self, times: &[i64], hours: &[i64]) -> DayAhead {
-        let (view, auto) = (self.view(), ModelSelector::default());
+    /// Predictions of a view at times in nanoseconds UTC, and of hours, each by its middle.
+    pub(super) fn ask(view: &MapView, times: &[i64], hours: &[i64]) -> DayAhead {
+        let auto = ModelSelector::default();
         let predict = |times: &[i64]| {
             let times = view.prepare(times);
             let mut values = vec![0.0; times.len()];

@@ -172,7 +172,7 @@ fn baselines_are_the_means_of_what_was_seen() {
         let HabitStep { utc_nanos, offset_secs, .. } = calendar.steps[step];
         Look { step, sample: tidemap_model::Sample { utc_nanos, offset_secs, value } }
     };
-    assert_eq!(baselines.predict(&calendar, step_at(0, 9)), [0.5; BASELINES.len()]);
+    assert_eq!(baselines.predict(&calendar, step_at(0, 9), 1), [0.5; BASELINES.len()]);
     // Monday and Tuesday: 1 at nine, 0 at ten.
     for day in 0..2 {
         baselines.learn(&calendar, &[look(day, 9, 1.0), look(day, 10, 0.0)]);
@@ -183,11 +183,11 @@ fn baselines_are_the_means_of_what_was_seen() {
     };
     // The mean of all readings is 1/2. A reading fades by 2^(-1/21) a day.
     let faded = 0.5_f64.powf(1.0 / 21.0);
-    close(baselines.predict(&calendar, step_at(7, 9)), [2.0 / 3.0, 0.75, (faded + 0.5) / (faded + 1.0), 0.98, 0.5]);
-    close(baselines.predict(&calendar, step_at(2, 10)), [0.5, 0.25, 0.5, 0.5, 0.02]);
+    close(baselines.predict(&calendar, step_at(7, 9), 1), [2.0 / 3.0, 0.75, (faded + 0.5) / (faded + 1.0), 0.98, 0.5]);
+    close(baselines.predict(&calendar, step_at(2, 10), 1), [0.5, 0.25, 0.5, 0.5, 0.02]);
     // A reading counts as yesterday's for the steps of half an hour around it.
-    close(baselines.predict(&calendar, step_at(2, 10) + 3), [0.5, 0.25, 0.5, 0.5, 0.02]);
-    close(baselines.predict(&calendar, step_at(2, 10) + 4), [0.5, 0.25, 0.5, 0.5, 0.5]);
+    close(baselines.predict(&calendar, step_at(2, 10) + 3, 1), [0.5, 0.25, 0.5, 0.5, 0.02]);
+    close(baselines.predict(&calendar, step_at(2, 10) + 4, 1), [0.5, 0.25, 0.5, 0.5, 0.5]);
 }
 
 #[test]
@@ -244,7 +244,8 @@ fn the_map_learns_as_that_of_a_daemon_does() {
 
 #[test]
 fn a_new_bar_is_predicted_before_it_is_learned() {
-    let protocol = HabitsProtocol { seeds: 2, first_seed: 5, habits: vec![named("new-noise"), named("new-bar")] };
+    let protocol =
+        HabitsProtocol { seeds: 2, first_seed: 5, ahead_days: 1, habits: vec![named("new-noise"), named("new-bar")] };
     let outcome = run(&protocol, &|_, _| {}).expect("a run");
     let names: Vec<&str> = outcome.habits.iter().map(|row| row.habit.name).collect();
     assert_eq!(names, ["new-bar", "new-noise"], "in the order of all habits");

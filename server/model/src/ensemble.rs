@@ -20,6 +20,7 @@ mod numbers;
 mod outlook;
 mod pool;
 mod recall;
+mod recalled;
 mod rotation;
 mod season;
 mod smooth_table;
@@ -34,9 +35,10 @@ use bins::{DayBins, SLOT_NANOS, SLOTS, slot_at};
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
 pub use numbers::{NumberEnsemble, OtherModels};
-use outlook::{FarWeights, Outlook, Profile};
+use outlook::{FarWeights, Outlook, Profile, near_losses};
 use pool::{Member, Pool};
 use recall::Recall;
+use recalled::RecalledDays;
 use rotation::Rotation;
 use season::Season;
 use smooth_table::{KindHours, smooth_table};
@@ -243,7 +245,9 @@ impl Ensemble {
         }
         self.pool.learn(&losses);
         self.calibration.learn(&forecast, bins);
-        self.outlook.judge(day, bins, &self.season);
+        let (recall, rotation, near) = (&self.recall, self.rotation.days() as i32, near_losses(&self.pool));
+        let recalled = |cut| RecalledDays::new(recall, rotation, day, cut);
+        self.outlook.judge(day, bins, &self.season, &near, recalled);
         let weekday = day.weekday();
         self.all.learn(weekday, bins, &members.all);
         self.recent.learn(weekday, bins, &members.recent);
@@ -255,7 +259,7 @@ impl Ensemble {
         self.learn_alike(kind_of_day(weekday), bins);
         self.add(day, bins);
         self.make_smooth();
-        let turns = Outlook::turns(last, day);
+        let turns = Outlook::turns(last, day, self.season.first);
         if turns.contains(&true) {
             let profile = self.profile(chosen);
             self.outlook.keep(turns, day, &profile);

@@ -5,8 +5,9 @@
 use std::{array, slice, sync::OnceLock};
 
 use super::bins::SLOTS;
-use super::outlook::{Class, StoredForecast};
+use super::outlook::{Class, FAR_MEMBERS, StoredForecast};
 use super::recall::{DAYS, SeenDay};
+use super::recalled::RECALLED;
 use super::rotation::LONGEST;
 use super::season::{FiveDays, Rhythm};
 use super::{Ensemble, Stack, WeekTable, equivalent_bins};
@@ -108,11 +109,17 @@ impl StoredFields for FiveDays {
 
 impl StoredFields for Class {
     fn fields<V: Visitor>(&mut self, visitor: &mut V) -> Result<(), V::Refused> {
-        let errors: &mut [&mut [f32]] = &mut [&mut self.losses, &mut self.explained, slice::from_mut(&mut self.bins)];
+        let (losses, of_recalled) = self.losses.split_at_mut(FAR_MEMBERS - RECALLED);
+        let errors: &mut [&mut [f32]] = &mut [losses, &mut self.explained, slice::from_mut(&mut self.bins)];
         visitor.lists(1, "errors at a lead time", NOT_NEGATIVE, errors)?;
         let [newer, older] = &mut self.stored;
         visitor.messages(2, "newer forecast of a lead time", newer)?;
-        visitor.messages(3, "older forecast of a lead time", older)
+        visitor.messages(3, "older forecast of a lead time", older)?;
+        // Without them no forecast that repeats days was scored.
+        let mut recalled: Option<[f32; RECALLED]> = of_recalled.first_chunk().copied();
+        visitor.list(4, "errors of recalled days", NOT_NEGATIVE, &mut recalled)?;
+        of_recalled.copy_from_slice(&recalled.unwrap_or_default());
+        Ok(())
     }
 }
 

@@ -3,8 +3,9 @@
 //! Invariant: a forecast of a day uses no half-hour bin of that day except those in the tables.
 
 use super::bins::{SLOT_NANOS, SLOTS, slot_at};
-use super::outlook::{CLASSES, class_of};
+use super::outlook::{CLASSES, class_of, near_losses};
 use super::pool::{MEMBERS, Member};
+use super::recalled::same_weekdays_of_month;
 use super::stack::{FEATURES, Features, clip, log_odds};
 use super::week_table::DayLevels;
 use super::{Ensemble, FarView};
@@ -115,7 +116,7 @@ impl Ensemble {
         let mut values = [[0.0; SLOTS]; MEMBERS];
         let mut features = [[0.0; FEATURES]; SLOTS];
         let rotation = self.rotation.days() as i32;
-        let nth = self.same_weekdays_of_month(day);
+        let nth = same_weekdays_of_month(day);
         for slot in 0..SLOTS {
             let hour = slot / 2;
             let base = all.weekday[hour];
@@ -160,14 +161,6 @@ impl Ensemble {
         MemberDay { values, features, all, recent }
     }
 
-    /// The numbers of days back to the same weekdays of earlier months, such as the first Mondays.
-    fn same_weekdays_of_month(&self, day: LocalDay) -> Vec<i32> {
-        let number = |day: LocalDay| (day.date().2 - 1) / 7;
-        let of_day = number(day);
-        let weeks = (1..=super::recall::DAYS as i32 / 7).map(|week| 7 * week);
-        weeks.filter(|&back| number(LocalDay(day.0.saturating_sub(back))) == of_day).collect()
-    }
-
     /// The combined forecast of the members.
     pub(super) fn forecast_of(&self, day: LocalDay, members: &MemberDay) -> DayForecast {
         let weights = self.pool.weights(self.bins);
@@ -199,8 +192,9 @@ impl Ensemble {
     fn far(&self, chosen: &dyn TemporalModel) -> &FarView {
         self.far.get_or_init(|| {
             let profile = self.profile(chosen);
-            let mut classes = 0..CLASSES;
-            let weights = [(); CLASSES].map(|()| self.outlook.weights(classes.next().unwrap_or(0)));
+            let (mut classes, near) = (0..CLASSES, near_losses(&self.pool));
+            let has_rhythm = self.season.rhythm.is_known();
+            let weights = [(); CLASSES].map(|()| self.outlook.weights(classes.next().unwrap_or(0), has_rhythm, &near));
             Box::new(FarView { profile, weights })
         })
     }
@@ -240,8 +234,10 @@ impl Ensemble {
         let far = self.far(chosen);
         let ahead = self.last_day().map_or(0, |last| (i64::from(day.0) - i64::from(last.0)).abs());
         let (class, kind) = (class_of(ahead).unwrap_or(0), kind_of_day(day.weekday()));
-        let hour = slot_at(at.civil_nanos()) / 2;
-        let pool = far.weights[class].predict(&far.profile, day, hour, chosen.predict(at), &self.season);
+        let slot = slot_at(at.civil_nanos());
+        let hour = slot / 2;
+        let recalled = self.recalled(day, self.last_day().unwrap_or(day));
+        let pool = far.weights[class].predict(&far.profile, (day, slot), chosen.predict(at), &self.season, &recalled);
         let bins = self.known[kind][hour];
         let value = self.smooth.map_or(pool, |smooth| {
             let smooth = far.profile.moved(clip(smooth[kind][hour]), day);

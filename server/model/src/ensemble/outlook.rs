@@ -2,13 +2,15 @@
 //!
 //! A model predicts at the lead times at which it was scored. Every week, four weeks, quarter and year the ensemble
 //! stores the forecasts of its members for each hour of the week; half-hour bins at that lead time are compared with
-//! the stored forecasts. The members are weighted by these losses, for each lead-time class. A class with too few bins
-//! takes over the losses of the shorter classes for members without a window; in such a class a member with a window
-//! has no weight far beyond it. The plain mean has a weight of its own: the share of the bins that it explains, against
-//! the pool. Invariant: predictions lie strictly between 0 and 1.
+//! the stored forecasts, and with those that repeat days before them. The members are weighted by these losses, for each
+//! lead-time class. A class with too few bins takes over the losses of the next days and of the shorter classes for
+//! members without a window; in such a class a member with a window has no weight far beyond it. The plain mean has a
+//! weight of its own: the share of the bins that it explains, against the pool. Invariant: predictions lie strictly
+//! between 0 and 1.
 
 use super::bins::DayBins;
-use super::pool::normalised;
+use super::pool::{Member, Pool, normalised};
+use super::recalled::{RECALLED, RecalledDays};
 use super::season::{Rhythm, Season};
 use super::stack::{clip, log_odds, probability};
 use crate::{
@@ -39,10 +41,16 @@ enum FarMember {
     YearsAgo,
     /// The model that the update chose.
     Chosen,
+    /// The earlier days that the best rotation repeats.
+    Rotation,
+    /// The last days of the same kind.
+    Alike,
+    /// Days that are the same weekday of their months.
+    Nth,
 }
 
 /// Number of members.
-pub(super) const FAR_MEMBERS: usize = 7;
+pub(super) const FAR_MEMBERS: usize = 7 + RECALLED;
 
 const ALL: [FarMember; FAR_MEMBERS] = [
     FarMember::Mean,
@@ -52,6 +60,9 @@ const ALL: [FarMember; FAR_MEMBERS] = [
     FarMember::WeekAndRhythm,
     FarMember::YearsAgo,
     FarMember::Chosen,
+    FarMember::Rotation,
+    FarMember::Alike,
+    FarMember::Nth,
 ];
 
 /// A loss is divided by the shortest lead time of its class in days to this power: bins of days close together score
@@ -61,12 +72,18 @@ const DEPENDENCE: f64 = 0.8;
 const BINS_MIN: f64 = 20.0;
 /// The losses of a class count with this factor for the next longer class.
 const CARRIED: f64 = 0.3;
+/// The losses of the next days count with this factor, and with [`CARRIED`], for the first class.
+const CARRIED_NEAR: f64 = 0.3;
 /// A member with a window that is not yet scored has a weight up to a lead time of this many windows.
 const WINDOWS: f64 = 4.0;
 /// The share of a class's sums that remains after each further observed day.
 const KEPT: f64 = 0.995;
+/// The prior weight of a member of the year that equals the mean.
+const FLAT_YEAR: f64 = 0.15;
+/// No forecasts are stored before the record spans this many days.
+const SPAN_MIN_DAYS: i64 = 14;
 /// At most this many bins of a day count.
-const BINS_OF_DAY: f64 = 3.0;
+const BINS_OF_DAY: f64 = 8.0;
 /// The share of the mean before the first bin, and how many bins that counts as.
 const MEAN_SHARE: f64 = 0.1;
 const MEAN_BINS: f64 = 5.0;
@@ -75,17 +92,20 @@ impl FarMember {
     /// The number of days back that the data of the member reaches; `None`: all days.
     fn window_days(self) -> Option<f64> {
         match self {
-            FarMember::Recent => Some(7.0),
+            FarMember::Recent | FarMember::Alike => Some(7.0),
             // Models are trained on twelve weeks, which is [`WINDOWS`] times this.
             FarMember::Chosen => Some(21.0),
             _ => None,
         }
     }
 
-    fn prior(self) -> f64 {
+    /// The prior weight. `has_rhythm`: a rhythm of the year is known; without it, the members of the year equal the
+    /// mean.
+    fn prior(self, has_rhythm: bool) -> f64 {
         match self {
+            FarMember::Rhythm | FarMember::YearsAgo if !has_rhythm => FLAT_YEAR,
             FarMember::Mean | FarMember::Week => 0.25,
-            FarMember::Recent => 0.5,
+            FarMember::Recent | FarMember::Rotation | FarMember::Alike | FarMember::Nth => 0.5,
             FarMember::Rhythm => 1.5,
             FarMember::WeekAndRhythm | FarMember::Chosen => 4.0,
             FarMember::YearsAgo => 2.0,
@@ -189,11 +209,20 @@ fn moved(value: f64, season: f64, mean: f64) -> f64 {
     probability(log_odds(value) + log_odds(season) - log_odds(mean))
 }
 
-/// The predictions of the members at long lead times for an hour of a day.
+/// The predictions of the members without the recalled days at long lead times for an hour of a day.
 fn members(parts: (f64, f64, f64, f64), day: LocalDay, rhythm: &Rhythm, season: &Season) -> [f64; FAR_MEMBERS] {
     let (mean, week, recent, chosen) = parts;
     let (mean, week, at) = (clip(mean), clip(week), rhythm.at(day));
-    [mean, week, clip(recent), at, moved(week, at, mean), season.years_ago(day, rhythm), clip(chosen)]
+    let years_ago = season.years_ago(day, rhythm);
+    [mean, week, clip(recent), at, moved(week, at, mean), years_ago, clip(chosen), week, week, week]
+}
+
+/// Adds the predictions from the recalled days.
+fn with_recalled(mut values: [f64; FAR_MEMBERS], recalled: [f64; RECALLED]) -> [f64; FAR_MEMBERS] {
+    for (value, recalled) in values.iter_mut().skip(FarMember::Rotation as usize).zip(recalled) {
+        *value = clip(recalled);
+    }
+    values
 }
 
 /// The stored forecasts for an hour of the week, 0 for Monday, midnight.
@@ -208,17 +237,32 @@ fn members_of_stored(
     members(parts, day, &stored.rhythm, season)
 }
 
+/// The losses of the members on the next days. The members of the year have that of the mean or of the table that they
+/// move.
+pub(super) fn near_losses(pool: &Pool) -> [f64; FAR_MEMBERS] {
+    use Member::{Alike, Chosen, Mean, Nth, RecentWeekday, Rotation, Weekday};
+    [Mean, Weekday, RecentWeekday, Mean, Weekday, Mean, Chosen, Rotation, Alike, Nth].map(|member| pool.counted(member))
+}
+
 /// The weighted mean of the members.
 fn pooled(values: &[f64; FAR_MEMBERS], weights: &[f64; FAR_MEMBERS]) -> f64 {
     values.iter().zip(weights).map(|(value, weight)| value * weight).sum()
 }
 
 impl FarWeights {
-    /// The prediction for an hour of a day.
-    pub(super) fn predict(&self, profile: &Profile, day: LocalDay, hour: usize, chosen: f64, season: &Season) -> f64 {
-        let weekday = day.weekday();
-        let parts = (profile.mean, profile.week[weekday][hour], profile.recent[weekday][hour], chosen);
-        let values = members(parts, day, &profile.rhythm, season);
+    /// The prediction for a half-hour of a day. `recalled`: the days before.
+    pub(super) fn predict(
+        &self,
+        profile: &Profile,
+        (day, slot): (LocalDay, usize),
+        chosen: f64,
+        season: &Season,
+        recalled: &RecalledDays<'_>,
+    ) -> f64 {
+        let (weekday, hour) = (day.weekday(), slot / 2);
+        let week = profile.week[weekday][hour];
+        let parts = (profile.mean, week, profile.recent[weekday][hour], chosen);
+        let values = with_recalled(members(parts, day, &profile.rhythm, season), recalled.at(slot, clip(week)));
         (1.0 - self.mean_share) * pooled(&values, &self.weights) + self.mean_share * values[FarMember::Mean as usize]
     }
 }
@@ -234,46 +278,59 @@ impl Outlook {
         (mean + MEAN_SHARE * MEAN_BINS) / (pool + mean + MEAN_BINS)
     }
 
-    /// The weights of a class.
-    pub(super) fn weights(&self, class: usize) -> FarWeights {
+    /// The weights of a class. `has_rhythm`: a rhythm of the year is known; `near`: the losses of the members on the
+    /// next days.
+    pub(super) fn weights(&self, class: usize, has_rhythm: bool, near: &[f64; FAR_MEMBERS]) -> FarWeights {
         let counted = |class: usize, member: usize| {
             f64::from(self.classes[class].losses[member]) * libm::pow(AHEAD_DAYS[class] as f64, -DEPENDENCE)
         };
         let bins = f64::from(self.classes[class].bins);
         let mut logs = [0.0; FAR_MEMBERS];
         for (place, (log, member)) in logs.iter_mut().zip(ALL).enumerate() {
-            *log = libm::log(member.prior()) - counted(class, place);
+            *log = libm::log(member.prior(has_rhythm)) - counted(class, place);
             let beyond = |days: f64| WINDOWS * days < AHEAD_DAYS[class] as f64;
             if bins < BINS_MIN && member.window_days().is_some_and(beyond) {
                 *log = f64::NEG_INFINITY;
             }
         }
-        for shorter in 0..class {
-            let unlimited = |place: &usize| ALL[*place].window_days().is_none();
-            let least =
-                (0..FAR_MEMBERS).filter(unlimited).map(|place| counted(shorter, place)).fold(f64::INFINITY, f64::min);
-            let carried = libm::pow(CARRIED, (class - shorter) as f64) * BINS_MIN / (BINS_MIN + bins);
+        let unlimited = |place: &usize| ALL[*place].window_days().is_none();
+        let mut carry = |classes: usize, factor: f64, loss: &dyn Fn(usize) -> f64| {
+            let least = (0..FAR_MEMBERS).filter(unlimited).map(loss).fold(f64::INFINITY, f64::min);
+            let carried = factor * libm::pow(CARRIED, classes as f64) * BINS_MIN / (BINS_MIN + bins);
             for (place, log) in logs.iter_mut().enumerate() {
-                *log -= carried * if unlimited(&place) { counted(shorter, place) } else { least };
+                *log -= carried * if unlimited(&place) { loss(place) } else { least };
             }
+        };
+        carry(class + 1, CARRIED_NEAR, &|place| near[place]);
+        for shorter in 0..class {
+            carry(class - shorter, 1.0, &|place| counted(shorter, place));
         }
         FarWeights { weights: normalised(logs), mean_share: self.mean_share(class) }
     }
 
-    /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has.
-    pub(super) fn judge(&mut self, day: LocalDay, bins: &DayBins, season: &Season) {
+    /// Scores the stored forecasts on the bins of a day, in each class whose lead time the day has. `near`: the
+    /// losses of the members on the next days; `recalled`: the days before a cut that a forecast for the day uses.
+    pub(super) fn judge<'a>(
+        &mut self,
+        day: LocalDay,
+        bins: &DayBins,
+        season: &Season,
+        near: &[f64; FAR_MEMBERS],
+        recalled: impl Fn(LocalDay) -> RecalledDays<'a>,
+    ) {
         let seen: Vec<(usize, f64)> = bins.seen().collect();
         if seen.is_empty() {
             return;
         }
         for (class, &ahead_days) in AHEAD_DAYS.iter().enumerate() {
-            let far = self.weights(class);
+            let far = self.weights(class, season.rhythm.is_known(), near);
             let known = &mut self.classes[class];
             let Some(stored) = known.stored[1].as_deref() else { continue };
             if i64::from(day.0) - i64::from(stored.day.0) < ahead_days {
                 continue;
             }
             let (mut explained, mut losses) = ([0.0; 2], [0.0; FAR_MEMBERS]);
+            let recalled = recalled(stored.day);
             let mut last: Option<(usize, [f64; FAR_MEMBERS])> = None;
             for &(slot, value) in &seen {
                 let hour = day.weekday() * HOURS + slot / 2;
@@ -282,6 +339,7 @@ impl Outlook {
                     _ => members_of_stored(stored, day, hour, season),
                 };
                 last = Some((hour, values));
+                let values = with_recalled(values, recalled.at(slot, values[FarMember::Week as usize]));
                 let likelihood = |p: f64| p * value + (1.0 - p) * (1.0 - value);
                 let by_pool = (1.0 - far.mean_share) * likelihood(clip(pooled(&values, &far.weights)));
                 let by_mean = far.mean_share * likelihood(values[FarMember::Mean as usize]);
@@ -300,8 +358,12 @@ impl Outlook {
         }
     }
 
-    /// The classes that store the forecasts at the end of a day: those whose turn lies in the days after `last`.
-    pub(super) fn turns(last: Option<LocalDay>, day: LocalDay) -> [bool; CLASSES] {
+    /// The classes that store the forecasts at the end of a day: those whose turn lies in the days after `last`. None
+    /// does while the record is short. `first`: its first day.
+    pub(super) fn turns(last: Option<LocalDay>, day: LocalDay, first: Option<LocalDay>) -> [bool; CLASSES] {
+        if first.is_none_or(|first| i64::from(day.0) - i64::from(first.0) < SPAN_MIN_DAYS) {
+            return [false; CLASSES];
+        }
         let turn = |day: LocalDay, days: i64| i64::from(day.0).div_euclid(days);
         AHEAD_DAYS.map(|days| last.is_none_or(|last| turn(last, days) != turn(day, days)))
     }
@@ -318,6 +380,8 @@ impl Outlook {
 mod tests {
     use super::*;
 
+    const UNSCORED: [f64; FAR_MEMBERS] = [0.0; FAR_MEMBERS];
+
     #[test]
     fn lead_times_have_classes() {
         assert_eq!([0, 6, 7, 27, 28, 90, 91, 363, 364, 9_999].map(class_of), {
@@ -328,18 +392,18 @@ mod tests {
     #[test]
     fn a_window_is_not_used_beyond_itself_before_it_is_scored() {
         let outlook = Outlook::new();
-        let (near, far) = (outlook.weights(0), outlook.weights(2));
+        let (near, far) = (outlook.weights(0, false, &UNSCORED), outlook.weights(2, false, &UNSCORED));
         let recent = FarMember::Recent as usize;
         assert!(near.weights[recent] > 0.0 && far.weights[recent] == 0.0);
-        assert_eq!(outlook.weights(3).weights[FarMember::Chosen as usize], 0.0);
+        assert_eq!(outlook.weights(3, false, &UNSCORED).weights[FarMember::Chosen as usize], 0.0);
         assert!((far.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
     }
 
     #[test]
     fn forecasts_are_stored_at_the_turn_of_each_class() {
-        assert_eq!(Outlook::turns(None, LocalDay(3)), [true; 4]);
-        assert_eq!(Outlook::turns(Some(LocalDay(6)), LocalDay(7)), [true, false, false, false]);
-        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(12)), [false; 4]);
-        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(29)), [true, true, false, false]);
+        assert_eq!(Outlook::turns(None, LocalDay(3), Some(LocalDay(-40))), [true; 4]);
+        assert_eq!(Outlook::turns(Some(LocalDay(6)), LocalDay(7), Some(LocalDay(-7))), [true, false, false, false]);
+        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(12), Some(LocalDay(-40))), [false; 4]);
+        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(29), Some(LocalDay(-40))), [true, true, false, false]);
     }
 }

@@ -106,8 +106,12 @@ impl Pool {
 
     /// The weight of the first of two members if there were only these two, without priors.
     pub(super) fn share(&self, one: Member, other: Member) -> f64 {
-        let loss = |member: Member| RATE * f64::from(self.losses[member as usize]);
-        1.0 / (1.0 + libm::exp((loss(one) - loss(other)).clamp(-30.0, 30.0)))
+        1.0 / (1.0 + libm::exp((self.counted(one) - self.counted(other)).clamp(-30.0, 30.0)))
+    }
+
+    /// The losses of a member, as they count in its weight.
+    pub(super) fn counted(&self, member: Member) -> f64 {
+        RATE * f64::from(self.losses[member as usize])
     }
 
     /// Adds the losses of a day.

@@ -101,9 +101,14 @@ fn phases(day: f64) -> [[f64; 2]; ORDERS] {
 impl Rhythm {
     pub(super) const UNKNOWN: Rhythm = Rhythm { mean: 0.5, waves: [[0.0; 2]; ORDERS] };
 
+    /// Whether the value differs between the days of a year.
+    pub(super) fn is_known(&self) -> bool {
+        self.waves != [[0.0; 2]; ORDERS]
+    }
+
     /// The value on a day, for all hours.
     pub(super) fn at(&self, day: LocalDay) -> f64 {
-        if self.waves == [[0.0; 2]; ORDERS] {
+        if !self.is_known() {
             return clip(self.mean);
         }
         let waves = phases(f64::from(day.0));
