@@ -23,6 +23,8 @@ use crate::{
 pub(super) const AHEAD_DAYS: [i64; 4] = [7, 28, 91, 364];
 /// Number of classes.
 pub(super) const CLASSES: usize = AHEAD_DAYS.len();
+/// Number of classes in which recalled days are used; at longer lead times too few of them are known.
+const RECALLED_CLASSES: usize = 2;
 
 /// A member of the ensemble at long lead times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -289,7 +291,8 @@ impl Outlook {
         for (place, (log, member)) in logs.iter_mut().zip(ALL).enumerate() {
             *log = libm::log(member.prior(has_rhythm)) - counted(class, place);
             let beyond = |days: f64| WINDOWS * days < AHEAD_DAYS[class] as f64;
-            if bins < BINS_MIN && member.window_days().is_some_and(beyond) {
+            let is_forgotten = place >= FarMember::Rotation as usize && class >= RECALLED_CLASSES;
+            if is_forgotten || bins < BINS_MIN && member.window_days().is_some_and(beyond) {
                 *log = f64::NEG_INFINITY;
             }
         }
