@@ -4,8 +4,8 @@
 //! the state get the same answer (see [`crate::edge_prior`] for edges with few reports). The duration follows from the
 //! forecast of the edge's speed or pace, and from the means over the edges of the map as long as reports are few.
 //!
-//! Invariant: a success lies in `[LEARNED_SUCCESS_MIN, 1)`, evidence is above 0, a duration is above 0 and finite. All
-//! data comes from one view.
+//! Invariant: a success lies in `[LEARNED_SUCCESS_MIN, 1)`, evidence is at least 2, a duration is above 0 and finite.
+//! All data comes from one view.
 
 use std::{
     collections::HashMap,
@@ -15,7 +15,7 @@ use std::{
 use tidemap_model::selector::ModelSelector;
 
 use crate::{
-    edge_prior::LEARNED_SUCCESS_MIN,
+    edge_prior::{EVIDENCE_MIN, LEARNED_SUCCESS_MIN},
     ids::StateId,
     predict::PreparedTimes,
     topology::{Edge, EdgeId, Extent, NOMINAL_MAX_SECS, Topology},
@@ -36,7 +36,7 @@ const SPEED_RATIO_MAX: f64 = 20.0;
 pub struct EdgeForecast {
     /// Probability that an attempt succeeds.
     pub success: f64,
-    /// Number of half-hour bins of reports that `success` is worth, above 0: the probability is believed to follow
+    /// Number of half-hour bins of reports that `success` is worth, at least 2: the probability is believed to follow
     /// Beta(success · evidence, (1 - success) · evidence).
     pub evidence: f64,
     /// Duration of a successful attempt, in seconds, above 0, at most [`NOMINAL_MAX_SECS`].
@@ -156,7 +156,7 @@ impl EdgeForecasts {
         let success = if success.is_finite() { success } else { self.view.edge_success() };
         let forecast = EdgeForecast {
             success: success.clamp(LEARNED_SUCCESS_MIN, 1.0 - 1e-9),
-            evidence: evidence.first().copied().unwrap_or(1.0),
+            evidence: evidence.first().copied().unwrap_or_default().max(EVIDENCE_MIN),
             duration_secs: prior.duration_secs(edge.extent, drawn),
         };
         debug_assert!(forecast.evidence > 0.0, "{forecast:?}");

@@ -2,8 +2,8 @@
 //!
 //! Few reports are learned of an edge, most of them at hours at which robots used it. So the forecast of its success is
 //! drawn to the mean over all edges of the map, as far as half-hour bins at that hour of the day are few. It never
-//! reaches 0: a robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive Topological
-//! Navigation").
+//! reaches 0: a robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive
+//! Topological Navigation").
 //!
 //! Invariant: a success that is drawn to the mean lies strictly between 0 and 1, its evidence is above 0, and both
 //! depend on what updates have learned alone.
@@ -18,7 +18,10 @@ pub(crate) const LEARNED_SUCCESS_MIN: f64 = 0.001;
 const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// Weight of the mean over all edges, in half-hour bins.
 const MEAN_BINS: f64 = 0.3;
-/// Maximum weight of the reports at other hours of the day, in half-hour bins, and the number of reports with half of it.
+/// The evidence of the mean over all edges for the success of a single edge, in half-hour bins.
+pub(crate) const EVIDENCE_MIN: f64 = 2.0;
+/// Maximum weight of the reports at other hours of the day, in half-hour bins, and the number of reports with half of
+/// it.
 const OTHER_HOURS_BINS: f64 = 0.5;
 const OTHER_HOURS_HALF: f64 = 4.0;
 

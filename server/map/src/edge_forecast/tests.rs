@@ -106,7 +106,7 @@ fn an_edge_that_was_never_driven_is_like_the_edges_of_its_map_and_unsure() {
     let back = edges.forecast(edge(&edges.view, "b", "a"), 401 * HOUR);
     // The mean of the reports, and of ten that passed nine times.
     assert!((back.success - 309.0 / 410.0).abs() < 1e-9, "{back:?}");
-    assert!((back.duration_secs - 20.0).abs() < 0.5 && back.evidence < 1.0, "{back:?}");
+    assert!((back.duration_secs - 20.0).abs() < 0.5 && back.evidence == EVIDENCE_MIN, "{back:?}");
     let unknown = EdgeForecasts::new(Arc::new(driven(&[]).publish()), 0.5, ModelSelector::default());
     let forecast = unknown.forecast(there(&unknown.view), HOUR);
     assert!((forecast.success - 0.9).abs() < 1e-12 && (forecast.duration_secs - 24.0).abs() < 1e-9, "{forecast:?}");
@@ -241,7 +241,7 @@ fn edges_are_expected_to_be_as_they_were_reported() {
     assert!((edges.forecast(there, at(12)).duration_secs - 20.0).abs() < 0.5);
     assert_eq!((edges.reports(there.id), edges.reports(back.id)), (14 * 15, 0));
     let unknown = edges.forecast(back, at(12));
-    assert!(unknown.evidence <= 1.0 && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
+    assert!(unknown.evidence == EVIDENCE_MIN && (unknown.duration_secs - 20.0).abs() < 0.5, "{unknown:?}");
     // The last report was a failure at 21:00 of the day before; a minute later the forecast depends on it almost alone.
     let soon = at(-3) + HOUR / 60;
     assert!(recent.forecast(there, soon).success < edges.forecast(there, soon).success, "{soon}");

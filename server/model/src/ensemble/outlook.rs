@@ -2,10 +2,10 @@
 //!
 //! A model predicts at the lead times at which it was scored. Every week, four weeks, quarter and year the ensemble
 //! stores the forecasts of its members for each hour of the week; half-hour bins at that lead time are compared with
-//! the stored forecasts, and with those that repeat days before them. The members are weighted by these losses, for each
-//! lead-time class. A class with too few bins takes over the losses of the next days and of the shorter classes for
-//! members without a window; in such a class a member with a window has no weight far beyond it. The plain mean has a
-//! weight of its own: the share of the bins that it explains, against the pool. Invariant: predictions lie strictly
+//! the stored forecasts, and with those that repeat days before them. The members are weighted by these losses, for
+//! each lead-time class. A class with too few bins takes over the losses of the next days and of the shorter classes
+//! for members without a window; in such a class a member with a window has no weight far beyond it. The plain mean has
+//! a weight of its own: the share of the bins that it explains, against the pool. Invariant: predictions lie strictly
 //! between 0 and 1.
 
 use super::bins::DayBins;

@@ -1,7 +1,7 @@
 //! Forecasts of the edges of a map at any time, for routes and policies.
 //!
-//! Invariant: all forecasts are of one view. Success is predicted by the requested model, as a query of the edge's state
-//! predicts it; speeds are predicted by the default model.
+//! Invariant: all forecasts are of one view. Success is predicted by the requested model, as a query of the edge's
+//! state predicts it; speeds are predicted by the default model.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -39,8 +39,7 @@ impl Edges {
         speed_m_per_s: f64,
     ) -> Result<Edges, RpcError> {
         let forecast_view = Arc::clone(view);
-        let edges =
-            routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
+        let edges = routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let indices = states.iter().enumerate().map(|(index, &id)| (id, index)).collect();
         let predictor = Predictor::new(routes.predict_context(), handle, view, states, selector).await?;

@@ -110,6 +110,7 @@ const PROBABILITIES: &str = "\
 1: removed cut half longer ones negative\n\
 2: cut half longer ones negative\n\
 3: cut half longer ones negative\n\
+4: cut half longer ones negative\n\
 [14, 20, 18, 2]\n\
 1:\n\
 2: ones negative\n\
