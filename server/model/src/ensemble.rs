@@ -38,7 +38,7 @@ pub use numbers::{NumberEnsemble, OtherModels};
 use outlook::{FarWeights, Outlook, Profile, near_losses};
 use pool::{Member, Pool};
 use recall::Recall;
-use recalled::RecalledDays;
+use recalled::{ALIKE_KEPT, FAR_ROTATION_DAYS, RecalledDays};
 use rotation::Rotation;
 use season::Season;
 use smooth_table::{KindHours, smooth_table};
@@ -58,8 +58,6 @@ const RECENT_DAYS: f64 = 7.0;
 /// The shares of their sums that the stacks keep after each further observed day.
 const SLOW: f64 = 0.985;
 const FAST: f64 = 0.94;
-/// The weight of a day of the same kind, relative to the next newer one.
-const ALIKE_KEPT: f64 = 0.7;
 /// The smooth table is computed again when the number of bins has grown by this share.
 const SMOOTH_GROWTH: f64 = 0.05;
 /// With this many equivalent bins at every hour the smooth table is not needed.
@@ -245,7 +243,8 @@ impl Ensemble {
         }
         self.pool.learn(&losses);
         self.calibration.learn(&forecast, bins);
-        let (recall, rotation, near) = (&self.recall, self.rotation.days() as i32, near_losses(&self.pool));
+        let (recall, near) = (&self.recall, near_losses(&self.pool));
+        let rotation = (self.rotation.days() as i32, FAR_ROTATION_DAYS);
         let recalled = |cut| RecalledDays::new(recall, rotation, day, cut);
         self.outlook.judge(day, bins, &self.season, &near, recalled);
         let weekday = day.weekday();

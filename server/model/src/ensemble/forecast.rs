@@ -5,7 +5,7 @@
 use super::bins::{SLOT_NANOS, SLOTS, slot_at};
 use super::outlook::{CLASSES, class_of, near_losses};
 use super::pool::{MEMBERS, Member};
-use super::recalled::same_weekdays_of_month;
+use super::recalled::{FAR_ROTATION_DAYS, NTH, ROTATION, ROTATION_DAYS, RecalledDays};
 use super::stack::{FEATURES, Features, clip, log_odds};
 use super::week_table::DayLevels;
 use super::{Ensemble, FarView};
@@ -22,11 +22,6 @@ const STACKED: [Member; super::stack::MEMBERS] =
 /// last day of the kind has the index [`LAST_ALIKE`].
 const DAYS_AGO: [(usize, i32); 5] = [(0, 1), (1, 2), (2, 7), (3, 14), (5, 28)];
 const LAST_ALIKE: usize = 4;
-/// A rotation uses values of up to this many days back, and a value counts half after [`ROTATION_HALF_LIFE`] days.
-const ROTATION_DAYS: i32 = 84;
-const ROTATION_HALF_LIFE: f64 = 60.0;
-/// The weekday table counts as this many bins, beside those of the same weekdays of the month.
-const NTH_PRIOR: f64 = 0.5;
 /// A chosen model with less weight is not evaluated at the moment itself; its value at the half-hour is used.
 const WEIGHT_MIN: f64 = 0.01;
 /// Up to a lead time of this many days the pool of the next days predicts.
@@ -115,12 +110,11 @@ impl Ensemble {
         let (all, recent) = (self.all.levels(weekday, mean), self.recent.levels(weekday, mean));
         let mut values = [[0.0; SLOTS]; MEMBERS];
         let mut features = [[0.0; FEATURES]; SLOTS];
-        let rotation = self.rotation.days() as i32;
-        let nth = same_weekdays_of_month(day);
+        let rotation = (self.rotation.days() as i32, ROTATION_DAYS);
+        let recalled = RecalledDays::new(&self.recall, rotation, day, LocalDay(day.0.saturating_sub(1)));
         for slot in 0..SLOTS {
             let hour = slot / 2;
             let base = all.weekday[hour];
-            let seen = |back: i32| self.recall.day(LocalDay(day.0.saturating_sub(back)))?.value(slot);
             let mut set = |member: Member, value: f64| values[member as usize][slot] = clip(value);
             set(Member::Mean, mean);
             set(Member::Hour, all.hour[hour]);
@@ -128,18 +122,10 @@ impl Ensemble {
             set(Member::Weekday, base);
             set(Member::RecentKind, recent.kind[hour]);
             set(Member::RecentWeekday, recent.weekday[hour]);
-            let turns = (1..).map(|turn| turn * rotation).take_while(|&back| back <= ROTATION_DAYS);
-            let weigh =
-                |(sum, number): (f64, f64), (value, weight): (f64, f64)| (sum + weight * value, number + weight);
-            let turned = turns
-                .filter_map(|back| Some((seen(back)?, libm::exp2(-f64::from(back) / ROTATION_HALF_LIFE))))
-                .fold((base, 1.0), weigh);
-            set(Member::Rotation, turned.0 / turned.1);
+            set(Member::Rotation, recalled.of_member(ROTATION, slot, base));
             let (sum, number) = (f64::from(self.alike.sums[kind][slot]), f64::from(self.alike.bins[kind][slot]));
             set(Member::Alike, (sum + base) / (number + 1.0));
-            let same = nth.iter().filter_map(|&back| Some((seen(back)?, 1.0)));
-            let of_nth = same.fold((NTH_PRIOR * base, NTH_PRIOR), weigh);
-            set(Member::Nth, of_nth.0 / of_nth.1);
+            set(Member::Nth, recalled.of_member(NTH, slot, base));
             set(Member::Chosen, chosen.predict(civil_moment(day, slot as i64 * SLOT_NANOS + SLOT_NANOS / 2)));
             set(Member::Smooth, self.smooth.map_or(base, |smooth| smooth[kind][hour]));
             let x = &mut features[slot];
@@ -236,7 +222,8 @@ impl Ensemble {
         let (class, kind) = (class_of(ahead).unwrap_or(0), kind_of_day(day.weekday()));
         let slot = slot_at(at.civil_nanos());
         let hour = slot / 2;
-        let recalled = self.recalled(day, self.last_day().unwrap_or(day));
+        let rotation = (self.rotation.days() as i32, FAR_ROTATION_DAYS);
+        let recalled = RecalledDays::new(&self.recall, rotation, day, self.last_day().unwrap_or(day));
         let pool = far.weights[class].predict(&far.profile, (day, slot), chosen.predict(at), &self.season, &recalled);
         let bins = self.known[kind][hour];
         let value = self.smooth.map_or(pool, |smooth| {
