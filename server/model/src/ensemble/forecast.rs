@@ -197,10 +197,13 @@ impl Ensemble {
     /// `chosen`: the model that the update has chosen.
     pub fn predict(&self, moments: &[Moment], chosen: &dyn TemporalModel) -> Vec<Predictive> {
         let mut of_day: Option<(LocalDay, DayForecast)> = None;
+        let mut far_day: Option<(LocalDay, RecalledDays<'_>)> = None;
         let predict = |&at: &Moment| {
             let day = LocalDay::of_civil_nanos(at.civil_nanos());
             if !self.near(day) {
-                return self.predict_far(at, day, chosen);
+                let known = far_day.take().filter(|(known, _)| *known == day);
+                let (_, recalled) = far_day.insert(known.unwrap_or_else(|| (day, self.recalled_far(day))));
+                return self.predict_far(at, day, chosen, recalled);
             }
             let forecast = match of_day.take() {
                 Some((known, forecast)) if known == day => forecast,
@@ -216,15 +219,25 @@ impl Ensemble {
         moments.iter().map(predict).collect()
     }
 
-    fn predict_far(&self, at: Moment, day: LocalDay, chosen: &dyn TemporalModel) -> Predictive {
+    /// The days that a forecast at a long lead time repeats.
+    fn recalled_far(&self, day: LocalDay) -> RecalledDays<'_> {
+        let rotation = (self.rotation.days() as i32, FAR_ROTATION_DAYS);
+        RecalledDays::new(&self.recall, rotation, day, self.last_day().unwrap_or(day))
+    }
+
+    fn predict_far(
+        &self,
+        at: Moment,
+        day: LocalDay,
+        chosen: &dyn TemporalModel,
+        recalled: &RecalledDays<'_>,
+    ) -> Predictive {
         let far = self.far(chosen);
         let ahead = self.last_day().map_or(0, |last| (i64::from(day.0) - i64::from(last.0)).abs());
         let (class, kind) = (class_of(ahead).unwrap_or(0), kind_of_day(day.weekday()));
         let slot = slot_at(at.civil_nanos());
         let hour = slot / 2;
-        let rotation = (self.rotation.days() as i32, FAR_ROTATION_DAYS);
-        let recalled = RecalledDays::new(&self.recall, rotation, day, self.last_day().unwrap_or(day));
-        let pool = far.weights[class].predict(&far.profile, (day, slot), chosen.predict(at), &self.season, &recalled);
+        let pool = far.weights[class].predict(&far.profile, (day, slot), chosen.predict(at), &self.season, recalled);
         let bins = self.known[kind][hour];
         let value = self.smooth.map_or(pool, |smooth| {
             let smooth = far.profile.moved(clip(smooth[kind][hour]), day);

@@ -53,8 +53,7 @@ impl<'a> RecalledDays<'a> {
 
     /// The predictions of the members at a half-hour. `table`: that of the weekday table.
     pub(super) fn at(&self, slot: usize, table: f64) -> [f64; RECALLED] {
-        let mut members = 0..RECALLED;
-        [(); RECALLED].map(|()| self.of_member(members.next().unwrap_or(0), slot, table))
+        std::array::from_fn(|member| self.of_member(member, slot, table))
     }
 
     /// The prediction of one of the members.
