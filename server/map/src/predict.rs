@@ -144,10 +144,20 @@ impl MapView {
         let newest = live.persistence.last();
         let moments = &*self.held_moments(id, &live, moments);
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
-            (Some(belief), _) => belief.blend_into(&live.recent, newest, moments, out),
-            (None, Some(sensor)) => Belief::of_sensor(sensor).blend_into(&live.recent, newest, moments, out),
+            (Some(belief), _) => belief.blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out),
+            (None, Some(sensor)) => {
+                Belief::of_sensor(sensor).blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out)
+            }
             (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Belief, out),
         }
+    }
+
+    /// The long-term prediction for the newest reading of a state; 0 without a reading.
+    fn predicted_now(&self, id: StateId, newest: Option<(i64, f64)>) -> f64 {
+        let Some((nanos, _)) = newest else { return 0.0 };
+        let (times, mut out) = (self.prepare(&[nanos]), [0.0]);
+        self.predict_into(id, &times, ModelSelector::default(), &mut out);
+        out[0]
     }
 
     /// Predicts the probability that a cell is occupied at each time. `out` is as long as the times.

@@ -169,17 +169,40 @@ impl Belief {
     }
 
     /// Draws predictions towards the forecasts from the newest readings. `recent` and `newest` are those of the state
-    /// now; predictions for times before the newest reading stay as they are. `out` is as long as the moments.
-    pub fn blend_into(&self, recent: &Recent, newest: Option<(i64, f64)>, moments: &[Moment], out: &mut [f64]) {
+    /// now, `predicted_now` is the prediction for the newest reading; predictions for times before the newest reading
+    /// stay as they are. `out` is as long as the moments.
+    pub fn blend_into(
+        &self,
+        recent: &Recent,
+        newest: Option<(i64, f64)>,
+        predicted_now: f64,
+        moments: &[Moment],
+        out: &mut [f64],
+    ) {
         let Some((newest_nanos, value)) = newest else { return };
         let lead_times = moments.iter().map(|moment| lead_secs(newest_nanos, moment.utc_nanos));
         let longest = lead_times.clone().flatten().fold(0.0, f64::max);
         let ahead = self.ahead(recent, (newest_nanos, value), longest);
+        let deviation = self.reading(ahead.at(0.0)) - predicted_now;
+        let weights = self.weights();
         for (out, lead) in out.iter_mut().zip(lead_times) {
             let Some(lead) = lead else { continue };
-            let weight = self.weights.at(lead, self.trust_secs());
-            *out += weight * (self.reading(ahead.at(lead)) - *out);
+            let [kept, carried] = LeadTimeWeights::at(&weights, self.first_weights(), lead);
+            *out += kept * (self.reading(ahead.at(lead)) - *out) + carried * deviation;
+            if self.has_two_values {
+                *out = out.clamp(0.0, 1.0);
+            }
         }
+    }
+
+    /// The weights of the newest readings, by lead time.
+    fn weights(&self) -> [lead_time::Weights; lead_time::LEAD_TIMES] {
+        self.weights.weights(self.trust_secs(), self.first_weights())
+    }
+
+    /// The weights just after the newest reading.
+    fn first_weights(&self) -> lead_time::Weights {
+        [1.0, 0.0]
     }
 
     /// The forecasts from the recent readings for the time after the newest one.

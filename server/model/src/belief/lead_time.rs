@@ -1,9 +1,11 @@
-//! The weight of the forecast from the newest readings against a prediction, by lead time. A lead time is the time from
-//! the newest reading to the predicted moment.
+//! The weight of the newest readings against a prediction, by lead time. A lead time is the time from the newest reading
+//! to the predicted moment.
 //!
-//! p = a + w(u - a), with the prediction a and the forecast u from the newest readings. The weight of a lead time is
-//! that of least squares on values y that neither a nor u had learned, shrunk to the weight w⁰ of the next shorter lead
-//! time: w = (Σ(y-a)(u-a) + κw⁰) / (Σ(u-a)² + κ). Invariant: a weight lies in `[0,1]`; at the newest reading it is 1.
+//! p = a + w₁(u - a) + w₂(u₀ - a₀), with the prediction a and the forecast u from the newest readings, and with both at
+//! the newest reading, a₀ and u₀. So w₁ keeps the newest value, and w₂ carries its deviation from the routine on. The
+//! weights of a lead time are those of least squares on values that neither a nor u had learned, shrunk to the weights
+//! of the next shorter lead time. The same values give the share of the squared error that remains. Invariant: the
+//! weights are at least 0 and their sum is at most 1; at the newest reading it is 1.
 
 use crate::InvalidParts;
 
@@ -12,10 +14,12 @@ pub(super) const LEAD_TIMES: usize = 9;
 /// The shortest and the longest lead time in seconds; the others are between them in equal steps of the logarithm.
 const SHORTEST_SECS: f64 = 15.0;
 const LONGEST_SECS: f64 = 86_400.0;
-/// Up to this lead time the weight of the newest readings is 1.
+/// Up to this lead time the newest readings predict.
 const NOW_SECS: f64 = 1.0;
 /// κ, in units of the state's variance.
 const SHRINKAGE: f64 = 4.0;
+/// The same for w₁ alone.
+const KEPT_SHRINKAGE: f64 = 0.5;
 /// While lead times are not yet scored, readings of a chain are trusted for this many times 1/(α+β).
 pub(super) const TRUSTED_TIMES: f64 = 8.0;
 /// While lead times are not yet scored, the newest of other values is trusted for this many seconds.
@@ -23,13 +27,46 @@ pub(super) const PRIOR_TRUST_SECS: f64 = 3600.0;
 /// The share of the sums that remains after each day that was scored.
 const KEPT: f64 = 0.98;
 
+/// w₁ and w₂.
+pub(super) type Weights = [f64; 2];
+
+/// A value that was predicted, for the regression.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scored {
+    /// The value y.
+    pub(super) value: f64,
+    /// The prediction a.
+    pub(super) predicted: f64,
+    /// The prediction a₀ at the newest reading.
+    pub(super) predicted_now: f64,
+    /// The forecast u from the newest readings.
+    pub(super) stored: f64,
+    /// That forecast at the newest reading, u₀.
+    pub(super) stored_now: f64,
+}
+
+impl Scored {
+    /// u - a and u₀ - a₀.
+    fn features(&self) -> [f64; 2] {
+        [self.stored - self.predicted, self.stored_now - self.predicted_now]
+    }
+}
+
+/// The sums of a lead time, in units of the state's variance.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct LeadSums {
+    /// Σ(u-a)², Σ(u-a)(u₀-a₀), Σ(u₀-a₀)².
+    squares: [f64; 3],
+    /// Σ(y-a)(u-a), Σ(y-a)(u₀-a₀).
+    products: [f64; 2],
+    /// Σ(y-a)², and the sum of the squared errors of p before each value was learned.
+    errors: [f64; 2],
+}
+
 /// The sums of the regression, per lead time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct LeadTimeWeights {
-    /// Σ(y-a)(u-a), in units of the state's variance.
-    pub(super) products: [f64; LEAD_TIMES],
-    /// Σ(u-a)², in the same unit.
-    pub(super) squares: [f64; LEAD_TIMES],
+    pub(super) sums: [LeadSums; LEAD_TIMES],
 }
 
 impl LeadTimeWeights {
@@ -46,76 +83,113 @@ impl LeadTimeWeights {
         (0.0..LEAD_TIMES as f64).contains(&place).then_some(place as usize)
     }
 
-    /// Adds a value y, with its prediction a and the forecast u from readings at this lead time; the arguments are the
-    /// number of the lead time, and (y, a, u). `unit`: the state's variance.
-    pub(super) fn add(&mut self, lead: usize, (value, predicted, stored): (f64, f64, f64), unit: f64) {
-        if let (Some(products), Some(squares)) = (self.products.get_mut(lead), self.squares.get_mut(lead)) {
-            *products += (value - predicted) * (stored - predicted) / unit;
-            *squares += (stored - predicted) * (stored - predicted) / unit;
-        }
+    /// Adds a value that was predicted at a lead time, by its number. `unit`: the state's variance.
+    pub(super) fn add(&mut self, lead: usize, scored: &Scored, weights: Weights, unit: f64) {
+        let Some(sums) = self.sums.get_mut(lead) else { return };
+        let ([kept, carried], error) = (scored.features(), scored.value - scored.predicted);
+        let blended = error - weights[0] * kept - weights[1] * carried;
+        let add = |sums: &mut [f64], values: &[f64]| sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit);
+        add(&mut sums.squares, &[kept * kept, kept * carried, carried * carried]);
+        add(&mut sums.products, &[error * kept, error * carried]);
+        add(&mut sums.errors, &[error * error, blended * blended]);
     }
 
     /// Fades the sums, after each day that was scored.
     pub(super) fn fade(&mut self) {
-        self.products.iter_mut().chain(&mut self.squares).for_each(|sum| *sum *= KEPT);
+        for sums in &mut self.sums {
+            let all = sums.squares.iter_mut().chain(&mut sums.products).chain(&mut sums.errors);
+            all.for_each(|sum| *sum *= KEPT);
+        }
     }
 
-    /// The weights of all lead times. `trust_secs`: how long readings are trusted without scores.
-    fn weights(&self, trust_secs: f64) -> [f64; LEAD_TIMES] {
-        let (mut before, mut before_secs) = (1.0, 0.0);
+    /// The weights of all lead times. `trust_secs`: how long readings are trusted without scores; `first`: the weights
+    /// at the newest reading.
+    pub(super) fn weights(&self, trust_secs: f64, first: Weights) -> [Weights; LEAD_TIMES] {
+        let (mut before, mut before_secs) = (first, 0.0);
         std::array::from_fn(|lead| {
             let secs = Self::lead_secs(lead);
-            let prior = before * libm::exp((before_secs - secs) / trust_secs);
-            let weight = (self.products[lead] + SHRINKAGE * prior) / (self.squares[lead] + SHRINKAGE);
-            (before, before_secs) = (weight.clamp(0.0, 1.0), secs);
+            let trust = libm::exp((before_secs - secs) / trust_secs);
+            (before, before_secs) = (self.sums[lead].solve(before.map(|weight| weight * trust)), secs);
             before
         })
     }
 
-    /// The weight at a lead time in seconds, interpolated in the logarithm of the lead time; beyond the longest it
-    /// fades.
-    pub(super) fn at(&self, lead_secs: f64, trust_secs: f64) -> f64 {
+    /// The weights at a lead time in seconds, interpolated in the logarithm of the lead time; beyond the longest they
+    /// fade.
+    pub(super) fn at(weights: &[Weights; LEAD_TIMES], first: Weights, lead_secs: f64) -> Weights {
         if lead_secs <= NOW_SECS {
-            return 1.0;
+            return [1.0, 0.0];
         }
-        let weights = self.weights(trust_secs);
-        let mut before = (NOW_SECS, 1.0);
-        for (lead, weight) in weights.into_iter().enumerate() {
+        let mut before = (NOW_SECS, first);
+        for (lead, &weights) in weights.iter().enumerate() {
             let secs = Self::lead_secs(lead);
             if lead_secs <= secs {
                 let share = libm::log(lead_secs / before.0) / libm::log(secs / before.0);
-                return before.1 + (weight - before.1) * share;
+                return std::array::from_fn(|at| before.1[at] + (weights[at] - before.1[at]) * share);
             }
-            before = (secs, weight);
+            before = (secs, weights);
         }
-        before.1 * libm::exp(1.0 - lead_secs / LONGEST_SECS)
+        before.1.map(|weight| weight * libm::exp(1.0 - lead_secs / LONGEST_SECS))
     }
 
-    /// The weights from stored sums: Σ(y-a)(u-a) of each lead time, then Σ(u-a)² of each; no sums for a state that was
-    /// never scored.
+    /// The weights from stored sums, seven of each lead time; no sums for a state that was never scored.
     ///
     /// # Errors
-    /// [`InvalidParts`] where there are not two sums for each lead time, or one is outside its range.
+    /// [`InvalidParts`] where there are not seven sums for each lead time, or one is outside its range.
     pub(super) fn from_sums(sums: &[f64]) -> Result<LeadTimeWeights, InvalidParts> {
-        if sums.is_empty() {
-            return Ok(LeadTimeWeights::default());
-        }
-        let (products, squares) = sums.split_at(sums.len() / 2);
-        let (Ok(products), Ok(squares)) = (products.try_into(), squares.try_into()) else {
+        let mut weights = LeadTimeWeights::default();
+        if !sums.is_empty() && sums.len() != 7 * LEAD_TIMES {
             return Err(InvalidParts::OutOfRange { field: "number of sums by lead time", found: sums.len() as f64 });
-        };
-        let weights = LeadTimeWeights { products, squares };
-        for product in weights.products {
-            InvalidParts::check("sum of products by lead time", product, f64::MIN..=f64::MAX)?;
         }
-        for square in weights.squares {
-            InvalidParts::check("sum of squares by lead time", square, 0.0..=f64::MAX)?;
+        for (to, &[own, both, carried, kept_error, carried_error, error, blended]) in
+            weights.sums.iter_mut().zip(sums.as_chunks().0)
+        {
+            for square in [own, carried, error, blended] {
+                InvalidParts::check("sum of squares by lead time", square, 0.0..=f64::MAX)?;
+            }
+            for product in [both, kept_error, carried_error] {
+                InvalidParts::check("sum of products by lead time", product, f64::MIN..=f64::MAX)?;
+            }
+            *to = LeadSums {
+                squares: [own, both, carried],
+                products: [kept_error, carried_error],
+                errors: [error, blended],
+            };
         }
         Ok(weights)
     }
 
     /// The sums to store.
     pub(super) fn to_sums(self) -> Vec<f64> {
-        if self == LeadTimeWeights::default() { Vec::new() } else { [self.products, self.squares].concat() }
+        if self == LeadTimeWeights::default() {
+            return Vec::new();
+        }
+        let of_lead = |sums: &LeadSums| [&sums.squares[..], &sums.products, &sums.errors].concat();
+        self.sums.iter().flat_map(of_lead).collect()
+    }
+}
+
+impl LeadSums {
+    /// The weights of least squares, shrunk to prior ones.
+    fn solve(&self, prior: Weights) -> Weights {
+        let [own, both, carried] = self.squares;
+        let (own, both, carried) = (own + SHRINKAGE + KEPT_SHRINKAGE, both + SHRINKAGE, carried + SHRINKAGE);
+        let trusted = SHRINKAGE * (prior[0] + prior[1]);
+        let kept_error = self.products[0] + trusted + KEPT_SHRINKAGE * prior[0];
+        let carried_error = self.products[1] + trusted;
+        let determinant = own * carried - both * both;
+        let weights = [
+            (kept_error * carried - carried_error * both) / determinant,
+            (carried_error * own - kept_error * both) / determinant,
+        ];
+        // Where one weight would be negative, the other one alone is fitted.
+        let weights = match weights {
+            [kept, _] if kept < 0.0 => [0.0, carried_error / carried],
+            [_, carried] if carried < 0.0 => [kept_error / own, 0.0],
+            weights => weights,
+        };
+        let weights = weights.map(|weight| weight.clamp(0.0, 1.0));
+        let sum = weights[0] + weights[1];
+        if sum > 1.0 { weights.map(|weight| weight / sum) } else { weights }
     }
 }

@@ -7,7 +7,7 @@
 //! the data that was learned before it.
 
 use super::{
-    Belief, Bin, Newest, Rates, Recent, SensorNoise, bins_after, dwell::Dwells, lead_secs, lead_time::LeadTimeWeights,
+    Belief, Bin, Newest, Rates, Recent, SensorNoise, bins_after, dwell::Dwells, lead_secs, lead_time::{LeadTimeWeights, Scored},
     noise, recent::RecentReplay,
 };
 use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
@@ -34,7 +34,11 @@ type Predict<'a> = dyn Fn(&[Sample]) -> Vec<f64> + 'a;
 /// A reading that was not yet learned, and its forecast from earlier readings.
 struct Target {
     lead: usize,
+    secs: f64,
     stored: f64,
+    stored_now: f64,
+    /// UTC nanoseconds of the newest of the earlier readings.
+    since_nanos: i64,
     sample: Sample,
 }
 
@@ -129,10 +133,29 @@ impl Belief {
     /// Scores the weights by lead time.
     fn score_lead_times(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
         let targets = self.targets(newer);
+        // Targets of one origin follow one another.
+        let origins: Vec<Sample> = targets
+            .chunk_by(|one, next| one.since_nanos == next.since_nanos)
+            .map(|targets| Sample { utc_nanos: targets[0].since_nanos, ..targets[0].sample })
+            .collect();
         let samples: Vec<Sample> = targets.iter().map(|target| target.sample).collect();
+        let (predictions, at_origins) = (predict(&samples), predict(&origins));
+        let weights = self.weights();
         self.weights.fade();
-        for (target, predicted) in targets.iter().zip(predict(&samples)) {
-            self.weights.add(target.lead, (target.sample.value, predicted, target.stored), unit);
+        let mut origin = 0;
+        for (target, predicted) in targets.iter().zip(predictions) {
+            if origins[origin].utc_nanos != target.since_nanos {
+                origin += 1;
+            }
+            let scored = Scored {
+                value: target.sample.value,
+                predicted,
+                predicted_now: at_origins[origin],
+                stored: target.stored,
+                stored_now: target.stored_now,
+            };
+            let weights = LeadTimeWeights::at(&weights, self.first_weights(), target.secs);
+            self.weights.add(target.lead, &scored, weights, unit);
         }
     }
 
@@ -177,7 +200,10 @@ impl Belief {
             return;
         }
         let ahead = self.ahead(recent, newest, longest);
-        let target = |(lead, secs, sample)| Target { lead, stored: self.reading(ahead.at(secs)), sample };
+        let stored_now = self.reading(ahead.at(0.0));
+        let target = |(lead, secs, sample)| {
+            Target { lead, secs, stored: self.reading(ahead.at(secs)), stored_now, since_nanos: newest.0, sample }
+        };
         targets.extend(found.into_iter().map(target));
     }
 
