@@ -73,7 +73,7 @@ fn labels_are_predicted_together() {
     learned(&daemon);
     let times: Vec<i64> = (0..24).map(after).collect();
     let at = times.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
-    for model in ["auto", "mean", "latest", "spectral", "histogram:24", "auto+belief"] {
+    for model in ["auto", "mean", "latest", "spectral", "histogram:24", "ensemble", "auto+memory"] {
         let table = tidemap(&daemon, &format!("predict home activity --at {at} --model {model}")).table();
         let labels = ["sleep", "eat", "work"].map(|label| of_label(&table, label));
         for at in 0..24 {

@@ -27,7 +27,7 @@ fn observe(daemon: &Daemon, state: &str, readings: &[(i64, u8)]) {
 
 fn predict(daemon: &Daemon, state: &str, secs: i64) -> f64 {
     let at = (START_SECS + secs).to_string();
-    let arguments = ["predict", "home", state, "--at", &at, "--model", "auto+belief"];
+    let arguments = ["predict", "home", state, "--at", &at, "--model", "auto"];
     tidemap(daemon, arguments).table().numbers("probability")[0]
 }
 

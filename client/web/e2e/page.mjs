@@ -274,7 +274,7 @@ try {
             return readFileSync(await (await coming).path(), 'utf8').trim().split('\r\n');
         };
         assert.equal((await saved('the four weeks')).length, 1 + 28 * 24);
-        assert.match((await saved('the comparison'))[1] ?? '', /,kitchen: chosen,predicted,/);
+        assert.match((await saved('the comparison'))[1] ?? '', /,kitchen: auto,predicted,/);
     });
 
     await check('rows of changes and events are shown as what they stand for', async () => {

@@ -29,7 +29,7 @@ pub use information::{
     information_to_wire, reachability_to_wire, reached_places_to_wire, view_to_wire, views_from_wire, visit_from_wire,
 };
 pub use slot::{
-    LocationChoice, PlannedSlot, SlotAllowance, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
+    LocationChoice, PlannedSlot, SlotAllowance, SlotModels, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
 };
 
 /// The number, or the default if it is 0.

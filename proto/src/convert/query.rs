@@ -45,20 +45,6 @@ fn interval_level_from_wire(level: f64) -> Result<Option<f64>, InvalidField> {
     Err(InvalidField::new("interval_level", text))
 }
 
-/// The model of a request that plans: if it names none, `auto` with belief, which uses the newest readings.
-///
-/// # Errors
-/// The errors of [`selector_from_wire`].
-pub fn planning_selector_from_wire(
-    field: &str,
-    wire: Option<v1::ModelSelector>,
-) -> Result<ModelSelector, InvalidField> {
-    match wire {
-        None => Ok(ModelSelector { blend: Blend::Belief, ..ModelSelector::default() }),
-        named => selector_from_wire(field, named),
-    }
-}
-
 /// A model of a request.
 ///
 /// # Errors
@@ -103,13 +89,11 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
         }
         Some(order) => Some(order_from_wire(&format!("{field}.order"), order)?),
     };
-    let blend = match (wire.persistence, wire.memory, wire.belief) {
-        (false, false, false) => Blend::None,
-        (true, false, false) => Blend::Persistence,
-        (false, true, false) => Blend::Memory,
-        (false, false, true) => Blend::Belief,
-        (true, true, false) => return Err(wrong("memory", "use either persistence or memory, not both".to_owned())),
-        (_, _, true) => return Err(wrong("belief", "use one of belief, persistence and memory".to_owned())),
+    let blend = match (wire.persistence, wire.memory) {
+        (false, false) => Blend::None,
+        (true, false) => Blend::Persistence,
+        (false, true) => Blend::Memory,
+        (true, true) => return Err(wrong("memory", "use either persistence or memory, not both".to_owned())),
     };
     Ok(ModelSelector { kind, order, blend })
 }
@@ -176,7 +160,6 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
         persistence: selector.blend == Blend::Persistence,
         memory: selector.blend == Blend::Memory,
-        belief: selector.blend == Blend::Belief,
         parameter: kind.count(),
         cycle: kind.cycle().map_or(v1::HistogramCycle::Unspecified, cycle_to_wire).into(),
         period: kind.period_nanos().filter(|&nanos| nanos != ModelKind::PERIOD_NANOS).map(duration),

@@ -2,13 +2,12 @@
 //!
 //! Invariant: thinning changes what is learned, never what is asked or compared with.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_model::{LocalDay, Sample, StateKind, Zone};
 
 use super::lead::HOUR_NANOS;
-use crate::tally::Tally;
 
 /// Share of the readings that a thinned recording keeps.
 const KEPT: f64 = 0.05;
@@ -49,20 +48,15 @@ pub(super) struct RecordedState {
     pub(super) group: usize,
     /// All readings, ascending by time.
     pub(super) samples: Vec<Sample>,
-    /// The mean of each local hour, by the UTC time of its begin.
-    hours: HashMap<i64, Tally>,
 }
 
 impl RecordedState {
-    /// The mean of all readings in the local hour of a reading.
+    /// The mean of all readings in the hour around a reading.
     pub(super) fn mean_of_hour(&self, at: Sample) -> f64 {
-        self.hours.get(&hour_begin(at)).map_or(at.value, |hour| hour.mean())
+        let before = |nanos: i64| self.samples.partition_point(|sample| sample.utc_nanos < nanos);
+        let of_hour = &self.samples[before(at.utc_nanos - HOUR_NANOS / 2)..before(at.utc_nanos + HOUR_NANOS / 2)];
+        of_hour.iter().map(|sample| sample.value).sum::<f64>() / of_hour.len() as f64
     }
-}
-
-/// The UTC time at which the local hour of a reading begins.
-pub(super) fn hour_begin(at: Sample) -> i64 {
-    at.utc_nanos - at.civil_nanos().rem_euclid(HOUR_NANOS)
 }
 
 /// A recording.
@@ -98,11 +92,8 @@ impl ReadRecording {
             _ => read.iter().map(|state| UnitGroup { label: state.name.clone(), kind: state.kind }).collect(),
         };
         let state = |(index, ReadState { name, kind, samples }): (usize, ReadState)| {
-            let mut hours: HashMap<i64, Tally> = HashMap::new();
-            for sample in &samples {
-                hours.entry(hour_begin(*sample)).or_default().add(sample.value);
-            }
-            RecordedState { name, kind, group: if unit.is_some() { 0 } else { index }, samples, hours }
+            let group = if unit.is_some() { 0 } else { index };
+            RecordedState { name, kind, group, samples }
         };
         let states: Vec<RecordedState> = read.into_iter().enumerate().map(state).collect();
         let asked = asked(&states, test_days);

@@ -18,14 +18,14 @@ use tidemap_map::{
 use tidemap_model::{
     LocalDay, Sample,
     models::Interval,
-    selector::{Blend, ModelSelector},
+    selector::ModelSelector,
 };
 
 use super::{
     FieldError,
     baselines::{BASELINES, Baselines},
-    lead::{HOUR_NANOS, KnownUntil, Lead},
-    recording::{ReadRecording, hour_begin},
+    lead::{KnownUntil, Lead},
+    recording::ReadRecording,
 };
 use crate::nightly_map::NightlyMap;
 
@@ -41,7 +41,7 @@ const VIEWS_MAX: usize = 28;
 pub(super) struct MapAnswer {
     /// The predicted value of the reading.
     pub(super) value: f64,
-    /// The interval of the mean over the reading's local hour; none if the map gives none.
+    /// The interval of the mean over the hour around the reading; none if the map gives none.
     pub(super) interval: Option<Interval>,
 }
 
@@ -54,7 +54,7 @@ pub(super) struct Forecast {
     pub(super) truth: Sample,
     /// The lead time.
     pub(super) lead: Lead,
-    /// The answers of the default forecaster; then, at short lead times, with the newest readings blended in.
+    /// The answers of `auto`; then, at short lead times, of `ensemble`, which does not use the newest readings.
     pub(super) answers: [Option<MapAnswer>; ASKED_MODELS],
     /// The predictions of the baselines.
     pub(super) baselines: [f64; BASELINES.len()],
@@ -165,24 +165,21 @@ fn ask(
             continue;
         }
         let times: Vec<i64> = truths.iter().map(|(_, truth)| truth.utc_nanos).collect();
-        let middles: Vec<i64> = truths.iter().map(|(_, truth)| hour_begin(*truth) + HOUR_NANOS / 2).collect();
         let id = StateId(state as u32);
-        let (times, middles) = (view.prepare(&times), view.prepare(&middles));
-        let answers = |blend: Blend| {
-            let selector = ModelSelector { blend, ..ModelSelector::default() };
-            let (mut values, mut of_hours) = (vec![0.0; times.len()], vec![0.0; times.len()]);
+        let times = view.prepare(&times);
+        let answers = |selector: ModelSelector| {
+            let mut values = vec![0.0; times.len()];
             view.predict_into(id, &times, selector, &mut values);
-            view.predict_into(id, &middles, selector, &mut of_hours);
-            let held = view.intervals(id, middles.moments(), &of_hours, Some(LEVEL));
+            let held = view.intervals(id, (times.moments(), &values), selector, Some(LEVEL));
             let answer =
                 |(at, value): (usize, f64)| MapAnswer { value, interval: held.get(at).map(|held| held.interval) };
             values.into_iter().enumerate().map(answer).collect::<Vec<_>>()
         };
-        let plain = answers(Blend::None);
-        let blended = if lead.is_short() { answers(Blend::Belief) } else { Vec::new() };
+        let auto = answers(ModelSelector::default());
+        let long_term = if lead.is_short() { answers(ModelSelector::default().long_term()) } else { Vec::new() };
         for (at, &(_, truth)) in truths.iter().enumerate() {
             let baselines = tables[state].predict(&learned[state], truth, lead);
-            let answers = [plain.get(at).copied(), blended.get(at).copied()];
+            let answers = [auto.get(at).copied(), long_term.get(at).copied()];
             take(&Forecast { state, truth, lead, answers, baselines });
         }
     }

@@ -16,7 +16,7 @@ use crate::score::log_loss;
 /// The names of all ways to predict: the map's, then the baselines.
 pub const FIELD_MODELS: [&str; ASKED_MODELS + BASELINES.len()] = {
     let [mean, hours, fading, newest, weeks] = BASELINES;
-    ["auto", "auto+belief", mean, hours, fading, newest, weeks]
+    ["auto", "ensemble", mean, hours, fading, newest, weeks]
 };
 /// Standard deviations from the middle to the end of an interval of 80 %.
 const HALF_WIDTH: f64 = 1.2816;

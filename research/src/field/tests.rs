@@ -8,7 +8,7 @@ use tidemap_model::{LocalDay, Sample, StateKind, Zone, models::Interval};
 use super::{
     baselines::Baselines,
     lead::HOUR_NANOS,
-    recording::{ReadState, hour_begin},
+    recording::ReadState,
     replay::{Forecast, MapAnswer},
     score::crps,
     *,
@@ -193,8 +193,8 @@ fn numbers_are_scored_with_the_stated_spread_or_that_of_earlier_days() {
         scorer.add(&Forecast { state: 0, truth, lead: Lead::Day, answers, baselines: [value; 5] });
     }
     let errors = &scorer.errors()[0][Lead::Day as usize];
-    let [auto, belief, mean, ..] = errors;
-    assert_eq!((auto.predictions, belief.predictions, mean.predictions), (2, 0, 2));
+    let [auto, ensemble, mean, ..] = errors;
+    assert_eq!((auto.predictions, ensemble.predictions, mean.predictions), (2, 0, 2));
     assert_eq!((auto.mse(), mean.mse()), (13.0, 13.0));
     assert!((auto.loss() - (crps(11.0, 1.0, 10.0) + crps(25.0, 1.0, 20.0)) / 2.0).abs() < 1e-12);
     // The training data is 1 and 3; on the second test day the only earlier error is 1.
@@ -203,13 +203,11 @@ fn numbers_are_scored_with_the_stated_spread_or_that_of_earlier_days() {
 }
 
 #[test]
-fn intervals_are_compared_with_the_mean_of_a_local_hour() {
+fn intervals_are_compared_with_the_mean_of_the_hour_around_a_reading() {
     let zone = Zone::named("Asia/Kolkata").expect("a zone");
-    // At UTC+5:30 the hour begins at half past of UTC.
     let at = |minute: i64, value: f64| Sample { utc_nanos: FIRST + minute * MINUTE, offset_secs: 19_800, value };
     let samples = vec![at(29, 100.0), at(30, 1.0), at(60, 2.0), at(89, 6.0), at(90, 100.0)];
     let recording = ReadRecording::new("made", None, zone, 1, vec![state(StateKind::Continuous, samples)]);
-    assert_eq!(hour_begin(at(89, 6.0)), FIRST + 30 * MINUTE);
     assert_eq!(recording.states[0].mean_of_hour(at(60, 2.0)), 3.0);
 }
 

@@ -56,7 +56,7 @@ impl HabitLearner {
             (times, values)
         };
         let (middles, of_hours) = predict(hours);
-        let hours = LEVELS.map(|level| view.intervals(STATE, middles.moments(), &of_hours, Some(level)));
+        let hours = LEVELS.map(|level| view.intervals(STATE, (middles.moments(), &of_hours), auto, Some(level)));
         DayAhead { values: predict(times).1, hours }
     }
 

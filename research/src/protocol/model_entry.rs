@@ -9,7 +9,7 @@
 use tidemap_model::{
     StateKind,
     catalogue::{ModelKind, SupportedStates, WrongParameter},
-    selector::{Blend, ModelSelector},
+    selector::ModelSelector,
 };
 
 use super::{
@@ -104,10 +104,6 @@ fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelect
     let blend = blend.map_err(|wrong| ProtocolError::model(written.line, written, wrong.to_string()))?;
     if of_catalogue.takes_newest() {
         let wrong = format!("{name} uses the newest reading as it is: leave out {suffix}");
-        return Err(ProtocolError::model(written.line, written, wrong));
-    }
-    if blend.blend == Blend::Belief {
-        let wrong = "+belief is learned by a map: import the files into one, or use +memory here".to_owned();
         return Err(ProtocolError::model(written.line, written, wrong));
     }
     if !has_newest {

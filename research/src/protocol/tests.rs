@@ -194,7 +194,7 @@ fn wrong_lags_and_blends_are_named() {
         ("90m", "next", "line 4: ahead is \"next\": it has to be each once"),
         ("90m", "1h, 60m", "line 4: ahead is \"60m\": it has to be each once"),
         ("next, 90m", "", "line 4: ahead is \"a list of 0\": it has to be 1 to 32 times"),
-        ("mean+memory", "mean+luck", "line 5: model mean+luck: \"mean+luck\": the only suffixes are +belief"),
+        ("mean+memory", "mean+luck", "line 5: model mean+luck: \"mean+luck\": the only suffixes are +persistence"),
         ("mean+memory", "mad+memory", "line 5: model is \"mad+memory\": it has to be one of: mean, latest"),
         ("mean+memory", "latest+memory", "line 5: model latest+memory: latest uses the newest reading"),
         ("ahead: [next, 90m]", "retrain: each", "line 5: model mean+memory: +memory draws predictions towards the"),

@@ -17,7 +17,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     Sample,
-    selector::{Blend, ModelSelector},
+    selector::ModelSelector,
 };
 
 use super::{
@@ -30,13 +30,13 @@ use crate::nightly_map::NightlyMap;
 #[derive(Debug)]
 pub(crate) struct Learner {
     map: NightlyMap,
-    blend: Blend,
+    selector: ModelSelector,
     edges: EdgeForecasts,
 }
 
 impl Learner {
     /// An untrained map of the building, with default properties.
-    pub(crate) fn new(blend: Blend) -> Result<Self, RoutesError> {
+    pub(crate) fn new(selector: ModelSelector) -> Result<Self, RoutesError> {
         let spec = MapSpec {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
@@ -45,8 +45,8 @@ impl Learner {
         let mut map = NightlyMap::new(spec, producer);
         let load = building::load().map_err(RoutesError::setting)?;
         map.apply(&Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = EdgeForecasts::new(Arc::new(map.view()), SPEED_M_PER_S, selector(blend));
-        Ok(Self { map, blend, edges })
+        let edges = EdgeForecasts::new(Arc::new(map.view()), SPEED_M_PER_S, selector);
+        Ok(Self { map, selector, edges })
     }
 
     /// The topology of the building.
@@ -81,7 +81,7 @@ impl Learner {
             }
         }
         self.map.observe(event, traversals.len() as u64, last.end_nanos)?;
-        if self.blend != Blend::None {
+        if self.selector.is_blended() || self.selector.knows_newest() {
             self.refresh();
         }
         Ok(())
@@ -95,10 +95,6 @@ impl Learner {
     }
 
     fn refresh(&mut self) {
-        self.edges = EdgeForecasts::new(Arc::new(self.map.view()), SPEED_M_PER_S, selector(self.blend));
+        self.edges = EdgeForecasts::new(Arc::new(self.map.view()), SPEED_M_PER_S, self.selector);
     }
-}
-
-fn selector(blend: Blend) -> ModelSelector {
-    ModelSelector { blend, ..ModelSelector::default() }
 }

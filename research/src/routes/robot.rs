@@ -9,7 +9,7 @@ use tidemap_map::{
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
-use tidemap_model::selector::Blend;
+use tidemap_model::selector::{Blend, ModelSelector};
 use tidemap_plan::route::{EdgeForecast, Objective, PlanRouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{
@@ -28,13 +28,13 @@ const TRUE_EVIDENCE: f64 = 1e6;
 pub enum RobotKind {
     /// The shortest path, whatever happened there.
     Shortest,
-    /// The route that tidemap plans from the data that it learned until last midnight.
+    /// The route that tidemap plans by default: from the data that it learned until last midnight, and from the newest
+    /// reports of each edge up to the lead time at which they have been right.
     Tidemap,
-    /// The route of [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
+    /// The route from the data that was learned until last midnight alone.
+    TidemapEnsemble,
+    /// The route of [`TidemapEnsemble`](Self::TidemapEnsemble), with the last report of each edge while it is recent.
     TidemapPersistence,
-    /// The route of [`Tidemap`](Self::Tidemap), with the newest reports of each edge up to the lead time at which they
-    /// have been right: the plan of the server by default.
-    TidemapBelief,
     /// The route of [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
     TidemapMemory,
     /// The route with the least expected time, including failures, from the data that was learned until last midnight.
@@ -48,7 +48,7 @@ impl RobotKind {
     pub const ALL: [RobotKind; 7] = [
         RobotKind::Shortest,
         RobotKind::Tidemap,
-        RobotKind::TidemapBelief,
+        RobotKind::TidemapEnsemble,
         RobotKind::TidemapPersistence,
         RobotKind::TidemapMemory,
         RobotKind::TidemapTime,
@@ -60,7 +60,7 @@ impl RobotKind {
         match self {
             RobotKind::Shortest => "shortest",
             RobotKind::Tidemap => "tidemap",
-            RobotKind::TidemapBelief => "tidemap+belief",
+            RobotKind::TidemapEnsemble => "tidemap-ensemble",
             RobotKind::TidemapPersistence => "tidemap+persistence",
             RobotKind::TidemapMemory => "tidemap+memory",
             RobotKind::TidemapTime => "tidemap-time",
@@ -128,11 +128,12 @@ impl RobotKind {
 
     /// The map of such a robot, which has learned nothing.
     pub(crate) fn learner(self) -> Result<Learner, RoutesError> {
+        let auto = ModelSelector::default();
         Learner::new(match self {
-            RobotKind::TidemapBelief => Blend::Belief,
-            RobotKind::TidemapPersistence => Blend::Persistence,
-            RobotKind::TidemapMemory => Blend::Memory,
-            _ => Blend::None,
+            RobotKind::TidemapPersistence => ModelSelector { blend: Blend::Persistence, ..auto },
+            RobotKind::TidemapMemory => ModelSelector { blend: Blend::Memory, ..auto },
+            RobotKind::Tidemap => auto,
+            _ => auto.long_term(),
         })
     }
 }
@@ -201,7 +202,7 @@ impl<'a> RouteRobot<'a> {
         match self.kind {
             RobotKind::Shortest => self.shortest(goal, is_open),
             RobotKind::Tidemap
-            | RobotKind::TidemapBelief
+            | RobotKind::TidemapEnsemble
             | RobotKind::TidemapPersistence
             | RobotKind::TidemapMemory
             | RobotKind::TidemapTime => {

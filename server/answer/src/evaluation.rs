@@ -265,7 +265,7 @@ fn answer(
     predicted: &mut [f64],
 ) -> bool {
     match answering {
-        None => target.predict_into(view, prepared, row, predicted),
+        None => target.predict_long_term_into(view, prepared, row, predicted),
         Some(AnswerSource::Trained(trained)) => trained.predict_into(view, target, prepared.moments(), row, predicted),
         Some(AnswerSource::Nothing(_)) => return false,
     }

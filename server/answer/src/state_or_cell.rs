@@ -136,10 +136,12 @@ impl StateOrCell {
         }
     }
 
-    /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned.
+    /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned, and the
+    /// model does not take newer observations into account.
     pub fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
+        let is_observed = matches!(self, Self::State(_)) && selector.knows_newest() && self.observations(view) > 0;
         let is_learned = matches!(selector.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral);
-        if is_learned && !selector.is_blended() && self.learned(view) == 0 {
+        if is_learned && !selector.is_blended() && !is_observed && self.learned(view) == 0 {
             return None;
         }
         Some(match self {
@@ -153,6 +155,21 @@ impl StateOrCell {
         match self {
             Self::State(id) => view.predict_into(*id, times, selector, out),
             Self::Cell(cell) => view.predict_cell_into(&cell.description, times, selector, out),
+        }
+    }
+
+    /// Does the same as [`StateOrCell::predict_into`], without the newest readings: for models that are compared with
+    /// observations.
+    pub fn predict_long_term_into(
+        &self,
+        view: &MapView,
+        times: &PreparedTimes,
+        selector: ModelSelector,
+        out: &mut [f64],
+    ) {
+        match self {
+            Self::State(id) => view.predict_into(*id, times, selector.long_term(), out),
+            Self::Cell(_) => self.predict_into(view, times, selector, out),
         }
     }
 
@@ -189,16 +206,16 @@ impl StateOrCell {
         view.model(*id).predictive_around(moments, probabilities)
     }
 
-    /// The bands of the predictions; none without a level.
+    /// The bands of predictions by a model; none without a level.
     pub fn intervals(
         &self,
         view: &MapView,
-        moments: &[Moment],
-        values: &[f64],
+        (moments, values): (&[Moment], &[f64]),
+        selector: ModelSelector,
         level: Option<f64>,
     ) -> Vec<HeldInterval> {
         match self {
-            Self::State(id) => view.intervals(*id, moments, values, level),
+            Self::State(id) => view.intervals(*id, (moments, values), selector, level),
             Self::Cell(cell) => cell_intervals(&cell.description, values, level),
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Where a state of probabilities has an ensemble, its predictive distribution gives the band and the probability that
 //! the band contains the mean. Where a state of other values has an ensemble, its errors at the lead time give the
-//! band; elsewhere the spread of single hours gives it. These bands are stated to have their level.
+//! band, and the newest reading narrows it as far as it has made errors smaller; elsewhere the spread of single hours gives it. These bands are stated to have their level.
 //!
 //! Invariant: a band contains its prediction and lies in the bounds of the state's kind. The band of a probability that
 //! was never observed is [0, 1]; a state of another kind has no band then.
@@ -11,6 +11,7 @@ use tidemap_grid::view::CellDescription;
 use tidemap_model::{
     HeldInterval, StateKind,
     models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval, value_interval_of},
+    selector::ModelSelector,
 };
 
 use crate::{ids::StateId, view::MapView};
@@ -70,13 +71,13 @@ impl MapView {
         self.model(id).alternatives().map(|known| Spreads::of(known.hours()))
     }
 
-    /// The bands of predictions of a state. `None` without a level, and for a continuous or count state with fewer than
-    /// two learned observations.
+    /// The bands of predictions of a state by a model. `None` without a level, and for a continuous or count state with
+    /// fewer than two learned observations.
     pub fn intervals(
         &self,
         id: StateId,
-        moments: &[Moment],
-        probabilities: &[f64],
+        (moments, probabilities): (&[Moment], &[f64]),
+        selector: ModelSelector,
         level: Option<f64>,
     ) -> Vec<HeldInterval> {
         let Some(level) = level else { return Vec::new() };
@@ -88,7 +89,7 @@ impl MapView {
         let (kind, folded) = (self.kind(id), self.model(id).accumulator());
         if kind != StateKind::Probability {
             let Some(spreads) = spreads.filter(|_| folded.observations() >= 2) else { return Vec::new() };
-            if let Some(variances) = self.model(id).variances_around(&self.spec.periodicities, moments, probabilities) {
+            if let Some(variances) = self.variances(id, moments, probabilities, selector) {
                 let pairs = variances.into_iter().zip(probabilities);
                 return pairs.map(|(variance, &p)| held(value_interval_of(kind, p, variance, level))).collect();
             }
@@ -101,6 +102,27 @@ impl MapView {
             None => NEVER,
         };
         moments.iter().zip(probabilities).map(interval).collect()
+    }
+
+    /// The expected squared distances of the means of hours from predictions by a model; `None` where no ensemble of
+    /// numbers predicts.
+    fn variances(
+        &self,
+        id: StateId,
+        moments: &[Moment],
+        values: &[f64],
+        selector: ModelSelector,
+    ) -> Option<Vec<f64>> {
+        let model = self.model(id);
+        if !selector.knows_newest() {
+            return model.variances_around(&self.spec.periodicities, moments, values);
+        }
+        let variances = model.variances(moments)?;
+        let (Some((newest, _)), Some(belief)) = (self.live(id).persistence.last(), model.belief()) else {
+            return Some(variances);
+        };
+        let share = |at: &Moment| belief.error_share(newest, at.utc_nanos);
+        Some(moments.iter().zip(variances).map(|(at, variance)| variance * share(at)).collect())
     }
 }
 

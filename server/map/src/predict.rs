@@ -90,7 +90,7 @@ impl MapView {
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
     /// kind of model that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as
-    /// [`ModelKind::Auto`], and so does an ensemble for a state that has none.
+    /// [`ModelKind::Spectral`]. An ensemble predicts a state that has none by the chosen model.
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
@@ -99,7 +99,10 @@ impl MapView {
             _ if is_default => {
                 model.predict_in_force_into(&self.spec.periodicities, &times.phasors, &times.moments, out);
                 self.draw_to_edges(id, &times.moments, out);
-                self.blend(id, &times.moments, selector, out);
+                match selector.knows_newest() {
+                    true => self.believe(id, &times.moments, out),
+                    false => self.blend(id, &times.moments, selector, out),
+                }
             }
             ModelKind::Latest if live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());
@@ -114,9 +117,6 @@ impl MapView {
 
     /// Blends the newest readings of a state into predictions, if the selector requests it.
     fn blend(&self, id: StateId, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
-        if selector.blend == Blend::Belief {
-            return self.believe(id, moments, out);
-        }
         let live = self.live(id);
         let moments = self.held_moments(id, &live, moments);
         blend(&live.persistence, self.model(id).memory_basis(), &moments, selector.blend, out);
@@ -137,26 +137,31 @@ impl MapView {
         Cow::Owned(moments.iter().map(held).collect())
     }
 
-    /// Draws predictions of a state towards its newest readings. Before the state's first update they count as with
-    /// persistence, unless its sensor is known.
-    pub(crate) fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
+    /// Draws long-term predictions of a state towards its newest readings, by their weights at each lead time. Before
+    /// the state's first update they count as with persistence, unless its sensor is known.
+    fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
         let (live, model) = (self.live(id), self.model(id));
         let newest = live.persistence.last();
         let moments = &*self.held_moments(id, &live, moments);
+        if !newest.is_some_and(|(nanos, _)| moments.iter().any(|at| Belief::is_near(nanos, at.utc_nanos))) {
+            return;
+        }
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
             (Some(belief), _) => belief.blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out),
             (None, Some(sensor)) => {
                 Belief::of_sensor(sensor).blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out)
             }
-            (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Belief, out),
+            (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Persistence, out),
         }
+        let kind = model.kind();
+        out.iter_mut().for_each(|value| *value = kind.saturate(*value));
     }
 
     /// The long-term prediction for the newest reading of a state; 0 without a reading.
     fn predicted_now(&self, id: StateId, newest: Option<(i64, f64)>) -> f64 {
         let Some((nanos, _)) = newest else { return 0.0 };
         let (times, mut out) = (self.prepare(&[nanos]), [0.0]);
-        self.predict_into(id, &times, ModelSelector::default(), &mut out);
+        self.predict_into(id, &times, ModelSelector::default().long_term(), &mut out);
         out[0]
     }
 
@@ -221,7 +226,7 @@ fn predict_state(
     }
 }
 
-/// Draws predictions towards the newest value of a state or cell that has no belief.
+/// Draws predictions towards the newest value of a state or cell.
 fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], blend: Blend, out: &mut [f64]) {
     if blend == Blend::None {
         return;

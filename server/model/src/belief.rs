@@ -186,13 +186,24 @@ impl Belief {
         let deviation = self.reading(ahead.at(0.0)) - predicted_now;
         let weights = self.weights();
         for (out, lead) in out.iter_mut().zip(lead_times) {
-            let Some(lead) = lead else { continue };
+            let Some(lead) = lead.filter(|lead| LeadTimeWeights::is_near(*lead)) else { continue };
             let [kept, carried] = LeadTimeWeights::at(&weights, self.first_weights(), lead);
             *out += kept * (self.reading(ahead.at(lead)) - *out) + carried * deviation;
             if self.has_two_values {
                 *out = out.clamp(0.0, 1.0);
             }
         }
+    }
+
+    /// Whether the newest reading, at `newest_nanos`, has a weight in the forecast for a time.
+    pub fn is_near(newest_nanos: i64, utc_nanos: i64) -> bool {
+        lead_secs(newest_nanos, utc_nanos).is_some_and(LeadTimeWeights::is_near)
+    }
+
+    /// The expected squared error of a forecast for a time with the newest reading, at `newest_nanos`, in parts of that
+    /// of the prediction without it: within `(0,1]`.
+    pub fn error_share(&self, newest_nanos: i64, utc_nanos: i64) -> f64 {
+        lead_secs(newest_nanos, utc_nanos).map_or(1.0, |lead| self.weights.error_share(lead))
     }
 
     /// The weights of the newest readings, by lead time.

@@ -57,10 +57,25 @@ impl ModelSelector {
         }
     }
 
-    /// Whether the model predicts only from the data that the last update published, without newer values.
-    pub fn is_of_generation(&self) -> bool {
-        let is_plain = *self == ModelSelector { kind: self.kind, order: self.order, ..ModelSelector::default() };
-        is_plain && matches!(self.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral)
+    /// Whether the model predicts a state only from the data that the last update published, without newer values. The
+    /// default model of a cell does so, too.
+    pub fn is_of_generation(self) -> bool {
+        use ModelKind::{Auto, Ensemble, Mean, Spectral};
+        !self.is_blended() && !self.knows_newest() && matches!(self.kind, Auto | Ensemble | Mean | Spectral)
+    }
+
+    /// Whether the newest readings of a state are part of the forecast, by their weight at its lead time: the default
+    /// model. The newest value of a cell is not part of it.
+    #[must_use]
+    #[inline]
+    pub fn knows_newest(self) -> bool {
+        self.leaves_choice() && !self.is_blended()
+    }
+
+    /// The same model of a state without its newest readings.
+    #[must_use]
+    pub fn long_term(self) -> ModelSelector {
+        if self.knows_newest() { ModelSelector { kind: ModelKind::Ensemble, ..self } } else { self }
     }
 
     /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.

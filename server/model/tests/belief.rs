@@ -69,7 +69,7 @@ fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
             let moments: Vec<Moment> =
                 ahead_secs.iter().map(|secs| Moment { utc_nanos: origin + secs * SEC, offset_secs: 0 }).collect();
             let mut out = vec![model.spectral().mean(); moments.len()];
-            model.belief().unwrap().blend_into(&recent, newest, &moments, &mut out);
+            model.belief().unwrap().blend_into(&recent, newest, model.spectral().mean(), &moments, &mut out);
             for ((score, moment), predicted) in scores.iter_mut().zip(&moments).zip(out) {
                 if moment.utc_nanos <= end {
                     score.add(predicted, truth_at(moment.utc_nanos));
@@ -125,12 +125,14 @@ fn the_newest_reading_of_the_door_counts_by_lag() {
             let nanos = sample.utc_nanos + ahead * 60 * SEC;
             let Ok(target) = test.binary_search_by_key(&nanos, |sample| sample.utc_nanos) else { continue };
             let (moment, truth) = (test[target].moment(), test[target].value);
-            let auto = match model.chosen(&periodicities) {
-                Some(chosen) => chosen.predict(moment),
-                None => model.spectral().predict(&periodicities, model.order(), moment.civil_nanos()),
+            let habit = |at: Moment| match model.chosen(&periodicities) {
+                Some(chosen) => chosen.predict(at),
+                None => model.spectral().predict(&periodicities, model.order(), at.civil_nanos()),
             };
+            let auto = habit(moment);
             let mut blended = [auto];
-            model.belief().unwrap().blend_into(&recent, persistence.last(), &[moment], &mut blended);
+            let now = habit(sample.moment());
+            model.belief().unwrap().blend_into(&recent, persistence.last(), now, &[moment], &mut blended);
             score[0].add(auto, truth);
             score[1].add(blended[0], truth);
             score[2].add(persistence.remember(basis, auto, nanos), truth);

@@ -45,7 +45,7 @@ pub(crate) struct DayArgs {
     /// Locations to choose from [default: all; where the map has none, every state is one]
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
-    /// Model: those of predict, each optionally with +belief, +persistence or +memory
+    /// Model: those of predict, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts

@@ -45,7 +45,7 @@ pub(crate) struct EvaluateArgs {
 fn models_help() -> String {
     let forms = ModelKind::forms();
     format!(
-        "Models, each optionally with +belief, +persistence or +memory: {forms}; or all, for every kind without a suffix"
+        "Models, each optionally with +persistence or +memory: {forms}; or all, for every kind without a suffix"
     )
 }
 

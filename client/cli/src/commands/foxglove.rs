@@ -13,7 +13,7 @@ use std::{net::IpAddr, process::ExitCode};
 use clap::Args;
 use tidemap_client::{
     clock,
-    queries::{Blend, ModelSelector},
+    queries::ModelSelector,
 };
 use tidemap_model::time::format_rfc3339;
 
@@ -58,7 +58,7 @@ pub(crate) struct FoxgloveArgs {
     /// Name or pattern of states to show, such as 'door-*'; may be repeated [default: all]
     #[arg(long = "state", value_name = "STATE")]
     states: Vec<String>,
-    /// Model, as in `predict` [default: auto; auto+belief for edges]
+    /// Model, as in `predict` [default: auto]
     #[arg(long, value_name = "KIND")]
     model: Option<ModelSelector>,
     /// Only cells between these heights, metres [default: 0.1:1.8, if the grid has cells there]
@@ -126,11 +126,9 @@ pub(crate) async fn run(session: &Session, args: FoxgloveArgs) -> anyhow::Result
             args.listen
         ));
     }
-    let belief = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
     let options = FrameOptions {
         map: name,
         model: args.model.unwrap_or_default(),
-        edge_model: args.model.unwrap_or(belief),
         region: args.region,
         z: args.z,
         speed_m_per_s: None,

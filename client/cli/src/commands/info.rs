@@ -39,7 +39,7 @@ pub(crate) struct InfoArgs {
     /// Without other targets: the number of areas that are shown
     #[arg(long, value_name = "N", default_value_t = 20, conflicts_with_all = ["states", "locations", "views"])]
     count: usize,
-    /// Model: those of predict, each optionally with +belief, +persistence or +memory
+    /// Model: those of predict, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
 }

@@ -54,7 +54,7 @@ pub(crate) struct PredictArgs {
 }
 
 fn model_help() -> String {
-    format!("Model, optionally with +belief, +persistence or +memory: {}", ModelKind::forms())
+    format!("Model, optionally with +persistence or +memory: {}", ModelKind::forms())
 }
 
 const COLUMNS: [&str; 12] = [

@@ -66,8 +66,8 @@ pub(crate) struct RouteArgs {
     /// Maximum duration of a route [default: 1d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     horizon: Option<i64>,
-    /// Model, as in `predict`; with +belief, +memory or +persistence an edge that just failed is unlikely for a while
-    #[arg(long, value_name = "KIND", default_value = "auto+belief")]
+    /// Model, as in `predict`; with auto, an edge that just failed is unlikely for a while
+    #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
@@ -142,7 +142,7 @@ pub(crate) struct PolicyArgs {
     #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
     recovery: Option<f64>,
     /// Model, as in `predict`
-    #[arg(long, value_name = "KIND", default_value = "auto+belief")]
+    #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]

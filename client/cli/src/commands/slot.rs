@@ -45,7 +45,7 @@ pub(crate) struct SlotArgs {
     /// Locations to choose from [default: all; where the map has none, every state is one]
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
-    /// Model: those of predict [default: auto+belief, with --planned auto]
+    /// Model: those of predict [default: auto; with --planned ensemble]
     #[arg(long, value_name = "KIND", conflicts_with = "exactly_one")]
     model: Option<ModelSelector>,
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts

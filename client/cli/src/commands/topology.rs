@@ -90,7 +90,7 @@ pub(crate) struct EdgeForecastArgs {
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
     /// Model, as in `predict`
-    #[arg(long, value_name = "KIND", default_value = "auto+belief")]
+    #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]

@@ -35,7 +35,7 @@ pub(crate) struct ReachableArgs {
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     horizon: Option<i64>,
     /// Model, as in `predict`
-    #[arg(long, value_name = "KIND", default_value = "auto+belief")]
+    #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]

@@ -55,7 +55,7 @@ pub(crate) struct TourArgs {
     /// Time to observe at each goal
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none, default_value = "60s")]
     observing: i64,
-    /// Model of the grid: auto, mean, latest or spectral, each optionally with +belief, +persistence or +memory
+    /// Model of the grid: auto, mean, latest or spectral, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Draws the tour over the predicted map as SVG

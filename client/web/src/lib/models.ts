@@ -3,7 +3,7 @@
 import { HistogramCycle, ModelKind, type ModelSelector } from '../wire/tidemap/v1/types_pb';
 
 const NAMES: Partial<Record<ModelKind, string>> = {
-    [ModelKind.AUTO]: 'chosen',
+    [ModelKind.AUTO]: 'auto',
     [ModelKind.MEAN]: 'mean',
     [ModelKind.LATEST]: 'latest',
     [ModelKind.SPECTRAL]: 'spectral',
@@ -26,6 +26,8 @@ const CYCLES: Partial<Record<HistogramCycle, string>> = {
 /** The kinds that the page compares. */
 export const COMPARED = [
     ModelKind.AUTO,
+    // The default model without the newest readings.
+    ModelKind.ENSEMBLE,
     ModelKind.MEAN,
     ModelKind.SPECTRAL,
     ModelKind.HISTOGRAM,

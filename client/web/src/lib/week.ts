@@ -31,7 +31,6 @@ export interface Series {
 export interface Asked {
     kind: ModelKind;
     order?: number;
-    belief?: boolean;
 }
 
 export interface Week {

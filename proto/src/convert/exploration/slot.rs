@@ -4,13 +4,13 @@
 //! given ones.
 
 use tidemap_map::name::StateName;
-use tidemap_model::selector::ModelSelector;
+use tidemap_model::selector::{Blend, ModelSelector};
 use tidemap_plan::{information::LookWorth, strategy::Budget};
 
 use super::{allowance_from_wire, certainty_from_wire, measure_from_wire, slot_from_wire};
 use crate::{
     convert::{
-        InvalidField, query::planning_selector_from_wire, site::location_names_from_wire, time::instant_from_wire,
+        InvalidField, query::selector_from_wire, site::location_names_from_wire, time::instant_from_wire,
     },
     v1,
 };
@@ -40,6 +40,28 @@ pub struct SlotAllowance {
     pub spent: usize,
 }
 
+/// The models of a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlotModels {
+    /// The model of states.
+    pub states: ModelSelector,
+    /// The model of cells.
+    pub cells: ModelSelector,
+}
+
+impl SlotModels {
+    /// The models of a request that names none.
+    fn usual(is_novelty: bool) -> SlotModels {
+        let auto = ModelSelector::default();
+        match is_novelty {
+            // The plan of the day is compared with what was observed since, which must not be in it.
+            true => SlotModels { states: auto.long_term(), cells: auto },
+            // A cell that was just seen has less to tell; the default model of a cell does not have its newest value.
+            false => SlotModels { states: auto, cells: ModelSelector { blend: Blend::Persistence, ..auto } },
+        }
+    }
+}
+
 /// The question of a request for a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotQuestion {
@@ -49,8 +71,8 @@ pub struct SlotQuestion {
     pub slot_nanos: i64,
     /// How the location is chosen.
     pub choice: LocationChoice,
-    /// The model of states and cells.
-    pub selector: ModelSelector,
+    /// The models that predict.
+    pub models: SlotModels,
     /// Whether exactly one location holds the person or object, which replaces the model.
     pub exactly_one: bool,
     /// The worth of an observation of a state.
@@ -72,10 +94,12 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
     let unknown = |_| InvalidField::new("strategy", format!("{} is not known", request.strategy));
     let strategy = v1::SlotStrategy::try_from(request.strategy).map_err(unknown)?;
     let is_novelty = strategy == v1::SlotStrategy::Novelty;
-    let selector = match request.model {
-        // The plan of the day is compared with what was observed since, which must not be in it.
-        None if is_novelty => ModelSelector::default(),
-        model => planning_selector_from_wire("model", model)?,
+    let models = match request.model {
+        None => SlotModels::usual(is_novelty),
+        model => {
+            let selector = selector_from_wire("model", model)?;
+            SlotModels { states: selector, cells: selector }
+        }
     };
     if request.exactly_one && request.model.is_some() {
         return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model"));
@@ -97,7 +121,7 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
             v1::SlotStrategy::MonteCarlo => LocationChoice::MonteCarlo,
             v1::SlotStrategy::Novelty => LocationChoice::Novelty { planned: request.planned },
         },
-        selector,
+        models,
         exactly_one: request.exactly_one,
         worth,
         locations: location_names_from_wire("locations", &request.locations)?,
@@ -161,7 +185,8 @@ mod tests {
     fn a_plain_slot_goes_by_information_with_the_newest_readings() {
         let question = slot_question_from_wire(request(v1::SlotStrategy::Unspecified)).expect("right");
         assert_eq!(question.choice, LocationChoice::Information);
-        assert!(question.selector.is_blended() && question.allowance.is_none() && question.locations.is_empty());
+        assert!(question.models.states.knows_newest() && question.models.cells.is_blended());
+        assert!(question.allowance.is_none() && question.locations.is_empty());
         assert_eq!(question.worth.measure, InformationMeasure::RaL);
         let information = v1::InformationMeasure::Both.into();
         let both = v1::PlanSlotRequest { information, ..request(v1::SlotStrategy::Unspecified) };
@@ -169,7 +194,8 @@ mod tests {
         let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..request(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
         assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
-        assert!(!novel.selector.is_blended());
+        let SlotModels { states, cells } = novel.models;
+        assert!(!states.knows_newest() && !states.is_blended() && !cells.is_blended());
     }
 
     #[test]

@@ -192,7 +192,7 @@ fn planners_and_queries_of_a_state_get_one_forecast() {
     let view = Arc::new(map.publish());
     let id = view.find("edge/a/b").expect("the state");
     let selectors = [ModelKind::Auto, ModelKind::Ensemble].into_iter().flat_map(|kind| {
-        let blends = [Blend::None, Blend::Belief, Blend::Memory, Blend::Persistence];
+        let blends = [Blend::None, Blend::Memory, Blend::Persistence];
         blends.map(|blend| ModelSelector { kind, blend, ..ModelSelector::default() })
     });
     for selector in selectors {

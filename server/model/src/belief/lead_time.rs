@@ -16,10 +16,14 @@ const SHORTEST_SECS: f64 = 15.0;
 const LONGEST_SECS: f64 = 86_400.0;
 /// Up to this lead time the newest readings predict.
 const NOW_SECS: f64 = 1.0;
+/// From this lead time on the newest readings have no weight.
+const END_SECS: f64 = 7.0 * 86_400.0;
 /// κ, in units of the state's variance.
 const SHRINKAGE: f64 = 4.0;
 /// The same for w₁ alone.
 const KEPT_SHRINKAGE: f64 = 0.5;
+/// The share of the squared error begins at 1, with the weight of errors of this many variances of the state.
+const ERROR_SHRINKAGE: f64 = 2.0;
 /// While lead times are not yet scored, readings of a chain are trusted for this many times 1/(α+β).
 pub(super) const TRUSTED_TIMES: f64 = 8.0;
 /// While lead times are not yet scored, the newest of other values is trusted for this many seconds.
@@ -129,7 +133,27 @@ impl LeadTimeWeights {
             }
             before = (secs, weights);
         }
-        before.1.map(|weight| weight * libm::exp(1.0 - lead_secs / LONGEST_SECS))
+        let faded = faded(lead_secs);
+        before.1.map(|weight| weight * faded)
+    }
+
+    /// Whether the newest readings have a weight at a lead time in seconds.
+    pub(super) fn is_near(lead_secs: f64) -> bool {
+        lead_secs < END_SECS
+    }
+
+    /// The share of the squared error of the prediction that remains at a lead time in seconds, within `(0,1]`.
+    pub(super) fn error_share(&self, lead_secs: f64) -> f64 {
+        let mut before = (NOW_SECS, self.sums[0].error_share());
+        for (lead, sums) in self.sums.iter().enumerate() {
+            let (secs, share) = (Self::lead_secs(lead), sums.error_share());
+            if lead_secs <= secs {
+                let part = (libm::log(lead_secs.max(NOW_SECS) / before.0) / libm::log(secs / before.0)).max(0.0);
+                return before.1 + (share - before.1) * part;
+            }
+            before = (secs, share);
+        }
+        1.0 - (1.0 - before.1) * faded(lead_secs)
     }
 
     /// The weights from stored sums, seven of each lead time; no sums for a state that was never scored.
@@ -169,7 +193,23 @@ impl LeadTimeWeights {
     }
 }
 
+/// The weight of the newest readings beyond the longest lead time, in parts of the weight there.
+fn faded(lead_secs: f64) -> f64 {
+    if LeadTimeWeights::is_near(lead_secs) { libm::exp(1.0 - lead_secs / LONGEST_SECS) } else { 0.0 }
+}
+
 impl LeadSums {
+    /// The share of the squared error of the prediction that remains, drawn to 1 in proportion to the logarithm: a share
+    /// of a thousandth is found as soon as one of a half.
+    fn error_share(&self) -> f64 {
+        let [of_prediction, blended] = self.errors;
+        let ratio = blended / of_prediction;
+        if !(ratio > 0.0 && ratio < 1.0) {
+            return 1.0;
+        }
+        libm::pow(ratio, of_prediction / (of_prediction + ERROR_SHRINKAGE))
+    }
+
     /// The weights of least squares, shrunk to prior ones.
     fn solve(&self, prior: Weights) -> Weights {
         let [own, both, carried] = self.squares;

@@ -2,7 +2,13 @@
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 
-use super::{ahead::Ahead, dwell::Survival, filter, lead_time::LeadTimeWeights, noise, *};
+use super::{
+    ahead::Ahead,
+    dwell::Survival,
+    filter,
+    lead_time::{LeadTimeWeights, Scored},
+    noise, *,
+};
 
 const SEC: i64 = 1_000_000_000;
 
@@ -50,13 +56,14 @@ fn learned_by(mut belief: Belief, samples: &[Sample]) -> Belief {
     belief
 }
 
+/// The forecast at a lead time; the prediction is always p.
 fn blended(belief: &Belief, samples: &[Sample], p: f64, lead_secs: i64) -> f64 {
     let mut recent = Recent::default();
     samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
     let last = samples.last().unwrap();
     let mut out = [p];
     let at = Moment { utc_nanos: last.utc_nanos + lead_secs * SEC, offset_secs: 0 };
-    belief.blend_into(&recent, Some((last.utc_nanos, last.value)), &[at], &mut out);
+    belief.blend_into(&recent, Some((last.utc_nanos, last.value)), p, &[at], &mut out);
     out[0]
 }
 
@@ -168,28 +175,69 @@ fn at_long_lead_times_the_forecast_is_the_prediction() {
     let samples = simulate(5, 14_400, dwell, |_| 60.0, 0.0);
     let belief = learned(&samples);
     for p in [0.05, 0.9] {
-        assert!((blended(&belief, &samples, p, 7 * 86_400) - p).abs() < 0.01);
+        assert!((blended(&belief, &samples, p, 6 * 86_400) - p).abs() < 0.01);
+        assert_eq!(blended(&belief, &samples, p, 7 * 86_400), p);
         assert!((blended(&belief, &samples, p, 0) - samples.last().unwrap().value).abs() < 0.01);
     }
     let before = samples.last().unwrap().utc_nanos - SEC;
     let mut out = [0.3];
     let newest = samples.last().map(|sample| (sample.utc_nanos, sample.value));
-    belief.blend_into(&Recent::default(), newest, &[Moment { utc_nanos: before, offset_secs: 0 }], &mut out);
+    belief.blend_into(&Recent::default(), newest, 0.3, &[Moment { utc_nanos: before, offset_secs: 0 }], &mut out);
     assert_eq!(out, [0.3]);
 }
 
 #[test]
 fn weights_follow_what_has_been_right() {
     let mut weights = LeadTimeWeights::default();
+    let scored = |value, predicted, stored| Scored { value, predicted, predicted_now: 0.2, stored, stored_now: 0.9 };
     for _ in 0..100 {
-        weights.add(1, (1.0, 0.2, 0.9), 0.25);
-        weights.add(6, (0.2, 0.2, 0.9), 0.25);
+        // The newest value was kept; what it departed by from the routine was carried on; the routine was right.
+        weights.add(1, &scored(0.9, 0.1, 0.9), [1.0, 0.0], 0.25);
+        weights.add(3, &scored(0.8, 0.1, 0.9), [1.0, 0.0], 0.25);
+        weights.add(6, &scored(0.1, 0.1, 0.9), [0.0, 0.0], 0.25);
     }
-    let at = |lead| weights.at(LeadTimeWeights::lead_secs(lead), 3600.0);
-    assert!(at(1) > 0.99 && at(6) < 0.1, "{} {}", at(1), at(6));
+    let first = [1.0, 0.0];
+    let all = weights.weights(3600.0, first);
+    let at = |lead| LeadTimeWeights::at(&all, first, LeadTimeWeights::lead_secs(lead));
+    assert!(at(1)[0] > 0.95 && at(1)[1] < 0.05, "{:?}", at(1));
+    // .7 = w₁(.9 - .1) + w₂(.9 - .2)
+    assert!((0.8 * at(3)[0] + 0.7 * at(3)[1] - 0.7).abs() < 0.01, "{:?}", at(3));
+    assert!(at(6).iter().sum::<f64>() < 0.1, "{:?}", at(6));
     assert!(at(8) <= at(6), "a lead time that was never scored goes by the one before it");
-    assert_eq!(weights.at(0.0, 3600.0), 1.0);
-    assert!(weights.at(1e9, 3600.0) < 1e-9);
+    assert_eq!(LeadTimeWeights::at(&all, first, 0.0), [1.0, 0.0]);
+    assert_eq!(LeadTimeWeights::at(&all, first, 1e9), [0.0, 0.0]);
+}
+
+#[test]
+fn a_deviation_is_carried_on_where_the_routine_changes_the_value() {
+    // The value follows a routine exactly, plus a deviation of the day. It is read every half-hour.
+    let routine = |nanos: i64| 20.0 + 5.0 * (nanos as f64 / 86_400e9 * std::f64::consts::TAU).sin();
+    let mut random = SmallRng::seed_from_u64(7);
+    let mut deviation = 0.0;
+    let samples: Vec<Sample> = (0..48 * 60)
+        .map(|at: i64| {
+            if at % 48 == 0 {
+                deviation = 4.0 * (random.random::<f64>() - 0.5);
+            }
+            let utc_nanos = at * 1800 * SEC;
+            Sample { utc_nanos, offset_secs: 0, value: routine(utc_nanos) + deviation }
+        })
+        .collect();
+    let mut belief = Belief::new(false);
+    let predict = |samples: &[Sample]| samples.iter().map(|sample| routine(sample.utc_nanos)).collect();
+    for (number, day) in samples.chunk_by(|one, next| one.local_day() == next.local_day()).enumerate() {
+        belief.learn_day(day, (number > 0).then_some(&predict), 12.5);
+    }
+    let newest = samples[samples.len() - 24];
+    let ahead = newest.utc_nanos + 4 * 3600 * SEC;
+    let mut out = [routine(ahead)];
+    let now = Some((newest.utc_nanos, newest.value));
+    let at = Moment { utc_nanos: ahead, offset_secs: 0 };
+    belief.blend_into(&Recent::default(), now, routine(newest.utc_nanos), &[at], &mut out);
+    assert!((out[0] - routine(ahead) - deviation).abs() < 0.25 * deviation.abs(), "{} {deviation}", out[0]);
+    // What is left of the error: in the same day next to nothing, on the next day nearly all.
+    let share = |hours: i64| belief.error_share(newest.utc_nanos, newest.utc_nanos + hours * 3600 * SEC);
+    assert!(share(1) < 0.3 && share(24) > 0.6 && share(24 * 7) == 1.0, "{} {}", share(1), share(24));
 }
 
 #[test]
@@ -290,5 +338,33 @@ proptest::proptest! {
         }
         let blended = blended(&learned(&samples), &samples, p, lead);
         proptest::prop_assert!((0.0..=1.0).contains(&blended), "{}", blended);
+    }
+
+    #[test]
+    fn weights_are_the_nearest_to_what_was_right_within_their_bounds(
+        values in proptest::collection::vec(proptest::array::uniform5(-2.0..2.0_f64), 1..30),
+    ) {
+        let mut weights = LeadTimeWeights::default();
+        for &[value, predicted, predicted_now, stored, stored_now] in &values {
+            let scored = Scored { value, predicted, predicted_now, stored, stored_now };
+            weights.add(0, &scored, [0.0, 0.0], 1.0);
+        }
+        // The loss that is minimised, with its shrinkage to the weights at the newest reading.
+        let trust = (-15.0_f64 / 3600.0).exp();
+        let loss = |[kept, carried]: [f64; 2]| {
+            let of = |&[value, predicted, predicted_now, stored, stored_now]: &[f64; 5]| {
+                (value - predicted - kept * (stored - predicted) - carried * (stored_now - predicted_now)).powi(2)
+            };
+            values.iter().map(of).sum::<f64>() + 4.0 * (kept + carried - trust).powi(2) + 0.5 * (kept - trust).powi(2)
+        };
+        let [kept, carried] = weights.weights(3600.0, [1.0, 0.0])[0];
+        proptest::prop_assert!(kept >= 0.0 && carried >= 0.0 && kept + carried <= 1.0 + 1e-12);
+        if kept > 0.0 && carried > 0.0 && kept + carried < 1.0 {
+            for step in [[1e-3, 0.0], [-1e-3, 0.0], [0.0, 1e-3], [0.0, -1e-3]] {
+                proptest::prop_assert!(loss([kept, carried]) <= loss([kept + step[0], carried + step[1]]) + 1e-12);
+            }
+        }
+        let share = weights.error_share(15.0);
+        proptest::prop_assert!(share > 0.0 && share <= 1.0, "{}", share);
     }
 }

@@ -1,6 +1,6 @@
-//! How a prediction is drawn towards the newest reading.
+//! The published ways to draw a prediction towards the newest reading.
 //!
-//! Invariant: a drawn probability lies between the prediction and the newest value.
+//! The default model takes the newest readings into account by itself; these are asked for by name. Invariant: a drawn probability lies between the prediction and the newest value.
 
 use crate::{MemoryBasis, Persistence};
 
@@ -15,14 +15,11 @@ pub enum Blend {
     Persistence,
     /// Draws by the rates of a two-state chain, which allow for unobserved changes (RAS 2017, eq. 6).
     Memory,
-    /// Draws by the newest readings, as far as they were right at that lead time; see [`Belief`](crate::Belief). A
-    /// state without a belief, such as a cell, uses [`Blend::Persistence`] instead.
-    Belief,
 }
 
 impl Blend {
     /// All blends that change predictions, in the order of the documentation.
-    pub const ALL: [Blend; 3] = [Blend::Belief, Blend::Persistence, Blend::Memory];
+    pub const ALL: [Blend; 2] = [Blend::Persistence, Blend::Memory];
 
     /// The name after the `+` of a model; empty for [`Blend::None`].
     pub fn name(self) -> &'static str {
@@ -30,7 +27,6 @@ impl Blend {
             Blend::None => "",
             Blend::Persistence => "persistence",
             Blend::Memory => "memory",
-            Blend::Belief => "belief",
         }
     }
 
@@ -40,7 +36,6 @@ impl Blend {
             Blend::None => "",
             Blend::Persistence => "+persistence",
             Blend::Memory => "+memory",
-            Blend::Belief => "+belief",
         }
     }
 
@@ -49,12 +44,12 @@ impl Blend {
         Blend::ALL.into_iter().find(|blend| blend.name() == name)
     }
 
-    /// A prediction `p` for a time, drawn towards the newest reading of a state or cell that has no belief.
+    /// A prediction `p` for a time, drawn towards the newest reading of a state or cell.
     #[must_use]
     pub fn draw(self, newest: &Persistence, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
         match self {
             Blend::None => p,
-            Blend::Persistence | Blend::Belief => newest.blend_of(basis.usual_change, p, utc_nanos),
+            Blend::Persistence => newest.blend_of(basis.usual_change, p, utc_nanos),
             Blend::Memory => newest.remember(basis, p, utc_nanos),
         }
     }

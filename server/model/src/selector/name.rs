@@ -23,7 +23,7 @@ impl fmt::Display for ModelSelector {
 #[allow(missing_docs, reason = "the error texts name the fields")]
 pub enum InvalidModel {
     #[error(
-        "{0:?} is not a model: use {names}, each optionally with +belief, +persistence or +memory",
+        "{0:?} is not a model: use {names}, each optionally with +persistence or +memory",
         names = listed(ModelKind::ALL.map(ModelKind::name), "or")
     )]
     Unknown(String),
@@ -39,7 +39,7 @@ pub enum InvalidModel {
     NotAPeriod { text: String, reason: InvalidDuration },
     #[error("{0:?}: the period of pergam has to be from 1m to 366d")]
     PeriodRange(String),
-    #[error("{0:?}: the only suffixes are +belief, +persistence and +memory")]
+    #[error("{0:?}: the only suffixes are +persistence and +memory")]
     Suffix(String),
 }
 

@@ -49,6 +49,13 @@ impl StateModel {
         }
     }
 
+    /// The expected squared distances of the means of the hours around moments from the default predictions without the
+    /// newest reading; `None` where no ensemble of numbers predicts.
+    pub fn variances(&self, moments: &[Moment]) -> Option<Vec<f64>> {
+        let ensemble = self.ensemble()?.of_number()?;
+        Some(moments.iter().map(|&at| ensemble.variance(at)).collect())
+    }
+
     /// The expected squared distances of the means of the hours around moments from predictions of any model: the
     /// variance of the ensemble, plus the squared distance of its prediction from that of the model. `None` where no
     /// ensemble of numbers predicts. `periodicities` are those of the map of the state.

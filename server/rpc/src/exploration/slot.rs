@@ -15,7 +15,7 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::exploration::{
-        LocationChoice, PlannedSlot, SlotAllowance, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
+        LocationChoice, PlannedSlot, SlotAllowance, SlotModels, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
     },
     v1,
 };
@@ -107,7 +107,7 @@ impl Slot<'_> {
         let mut times = vec![self.question.time_nanos];
         times.extend(visits.into_iter().flat_map(|visits| &visits.later_nanos));
         if !self.question.exactly_one {
-            let rows = self.series(&times, self.question.selector).await?;
+            let rows = self.series(&times, self.question.models).await?;
             return self.forecast(&times, rows).await;
         }
         day_slots(self.view, self.question)?;
@@ -128,16 +128,27 @@ impl Slot<'_> {
         Ok(SlotForecast { rows, bits, members: &self.locations.members })
     }
 
-    async fn series(&self, times: &[i64], selector: ModelSelector) -> Result<Vec<Vec<f64>>, RpcError> {
-        let (context, requested) = (self.explorations.predict_context(), (self.states(), times.to_vec()));
-        predict_series(context, self.handle, self.view, requested, selector).await
+    /// The predictions of all states and cells at times, a row each, in the order of the locations.
+    async fn series(&self, times: &[i64], models: SlotModels) -> Result<Vec<Vec<f64>>, RpcError> {
+        let all = self.states();
+        let is_cell = |member: &&StateOrCell| matches!(member, StateOrCell::Cell(_));
+        let (cells, states): (Vec<_>, Vec<_>) = all.iter().cloned().partition(|member| is_cell(&member));
+        let context = || self.explorations.predict_context();
+        let predict = |members, model| {
+            predict_series(context(), self.handle, self.view, (members, times.to_vec()), model)
+        };
+        let (of_cells, of_states) = (predict(cells, models.cells).await?, predict(states, models.states).await?);
+        let (mut of_cells, mut of_states) = (of_cells.into_iter(), of_states.into_iter());
+        let row = |member: &StateOrCell| if is_cell(&member) { of_cells.next() } else { of_states.next() };
+        Ok(all.iter().map(row).map(Option::unwrap_or_default).collect())
     }
 
     /// The most surprising location, or the planned one if none is surprising enough, with its surprise in bits. `now`
     /// has the probabilities of the states of each location.
     async fn most_novel(&self, now: &[Vec<f64>], planned: Option<usize>) -> Result<(usize, f64), RpcError> {
         let chain = ModelSelector { kind: ModelKind::Persistence, ..ModelSelector::default() };
-        let rows = self.series(&[self.question.time_nanos], chain).await?;
+        let chains = SlotModels { states: chain, cells: chain };
+        let rows = self.series(&[self.question.time_nanos], chains).await?;
         let expected = of_locations(&rows, &self.locations.members, 0);
         let pairs = |place: usize| expected[place].iter().copied().zip(now[place].iter().copied());
         let worth = |place| (surprise_bits(pairs(place)), information_bits(now[place].iter().copied()));

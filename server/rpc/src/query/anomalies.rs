@@ -48,7 +48,9 @@ impl Judge {
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
         let mut expected = vec![0.0; times.len()];
         match &self.trained {
-            None => self.subject.predict_into(view, &view.prepare(&times), selector, &mut expected),
+            None => {
+                self.subject.predict_long_term_into(view, &view.prepare(&times), selector, &mut expected);
+            }
             Some(trained) => {
                 trained.expect_into(view, &self.subject, &view.moments(&times), selector, &mut expected);
             }

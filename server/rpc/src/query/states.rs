@@ -115,7 +115,11 @@ fn is_in(view: &MapView, name: &str) -> bool {
 /// question.
 async fn view_for(handle: &MapHandle, question: &StatesQuestion) -> Result<Arc<MapView>, RpcError> {
     let view = handle.view();
-    if question.selector.is_of_generation() && question.names.iter().all(|name| is_in(&view, name)) {
+    let selector = question.selector;
+    // The newest value of a cell is not part of its default model.
+    let is_default_cell = |name: &str| selector.knows_newest() && CellIndex::from_name(name).is_some();
+    let is_published = |name: &str| selector.is_of_generation() || is_default_cell(name);
+    if question.names.iter().all(|name| is_published(name) && is_in(&view, name)) {
         return Ok(view);
     }
     opened(handle).await?;
@@ -204,7 +208,7 @@ fn predict_one(
                     trained.predict_into(view, subject, moments, selector, values);
                 }
             }
-            let intervals = subject.intervals(view, moments, &values, interval_level);
+            let intervals = subject.intervals(view, (moments, &values), selector, interval_level);
             StateForecast { values, intervals, facts: facts(view, subject, selector, moments) }
         });
         let first = block * TIMES_PER_BLOCK;
@@ -296,7 +300,7 @@ fn forecast(
 ) -> StateForecast {
     let mut values = vec![0.0; prepared.moments().len()];
     subject.predict_into(view, prepared, selector, &mut values);
-    let intervals = subject.intervals(view, prepared.moments(), &values, level);
+    let intervals = subject.intervals(view, (prepared.moments(), &values), selector, level);
     StateForecast { values, intervals, facts: facts(view, subject, selector, prepared.moments()) }
 }
 

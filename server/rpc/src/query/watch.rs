@@ -365,7 +365,7 @@ fn unexpected(
         let readings: Vec<Reading> = places.iter().map(|&i| observed[i].1).collect();
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
         let mut expected = vec![0.0; times.len()];
-        models.predict_into(state, &models.prepare(&times), selector, &mut expected);
+        models.predict_into(state, &models.prepare(&times), selector.long_term(), &mut expected);
         let judged = models.judged(state, selector, &readings, &expected, confidence);
         found.extend(places.iter().zip(judged).filter_map(|(&place, anomaly)| Some((place, state, anomaly?))));
     }

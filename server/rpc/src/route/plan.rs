@@ -13,7 +13,7 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::{
-        query::planning_selector_from_wire,
+        query::selector_from_wire,
         route::{
             POLICY_CELLS_MAX, confidence_from_wire, later, policy_from_wire, policy_to_wire, prediction_to_wire,
             route_from_wire, routes_to_wire,
@@ -42,7 +42,7 @@ pub(super) async fn plan_route(
     let from = find_node(&request.map, &topology, &request.from)?;
     let to = find_node(&request.map, &topology, &request.to)?;
     let question = route_from_wire(&request)?;
-    let selector = planning_selector_from_wire("model", request.model)?;
+    let selector = selector_from_wire("model", request.model)?;
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
@@ -96,7 +96,7 @@ pub(super) async fn plan_policy(
     let to = find_node(&request.map, &topology, &request.to)?;
     let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let options = policy_from_wire(&request)?;
-    let selector = planning_selector_from_wire("model", request.model)?;
+    let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let (nodes, slots) = (topology.nodes().len(), options.slots);
     if nodes.saturating_mul(slots) > POLICY_CELLS_MAX {
@@ -119,7 +119,7 @@ pub(super) async fn predict_edges(
     // Closed edges are predicted as well.
     let topology = Arc::clone(view.site().topology());
     let time_nanos = instant_from_wire("time", request.time)?;
-    let selector = planning_selector_from_wire("model", request.model)?;
+    let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let confidence = confidence_from_wire(request.confidence)?;
     let found = topology.edges().len();

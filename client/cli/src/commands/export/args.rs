@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use tidemap_client::queries::{Blend, ModelSelector};
+use tidemap_client::queries::ModelSelector;
 
 use super::{
     super::{
@@ -46,7 +46,7 @@ pub(crate) struct ExportArgs {
     /// With --mask speed: the lowest limit, as a share of the greatest speed [default: 0.2]
     #[arg(long, value_name = "SHARE", value_parser = share)]
     pub(super) slowest: Option<f64>,
-    /// Model, as in `predict` [default: auto; auto+belief for edges]
+    /// Model, as in `predict` [default: auto]
     #[arg(long, value_name = "KIND")]
     pub(super) model: Option<ModelSelector>,
     /// Only cells between these heights, metres [default: 0.1:1.8, if the grid has cells there]
@@ -121,11 +121,9 @@ impl ExportArgs {
 
     /// The options with which the map is requested.
     pub(super) fn options(&self) -> FrameOptions {
-        let edge_model = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
         FrameOptions {
             map: self.map.clone(),
             model: self.model.unwrap_or_default(),
-            edge_model: self.model.unwrap_or(edge_model),
             region: self.region,
             z: self.z,
             speed_m_per_s: self.speed,

@@ -31,10 +31,8 @@ use super::super::{
 pub(crate) struct FrameOptions {
     /// Name of the map.
     pub(crate) map: String,
-    /// The model of cells and states.
+    /// The model of cells, states and edges.
     pub(crate) model: ModelSelector,
-    /// The model of edges.
-    pub(crate) edge_model: ModelSelector,
     /// Only cells in this rectangle.
     pub(crate) region: Option<Rectangle>,
     /// Only cells between these heights.
@@ -90,12 +88,12 @@ pub(crate) async fn topology(
     time_nanos: i64,
     frame: &str,
 ) -> anyhow::Result<Option<RouteGraph>> {
-    let FrameOptions { map, edge_model, speed_m_per_s, recovery_secs, .. } = options;
+    let FrameOptions { map, model, speed_m_per_s, recovery_secs, .. } = options;
     let topology = session.client.topology(map).await?;
     if topology.nodes().len() == 0 {
         return Ok(None);
     }
-    let forecasts = session.client.predict_edges(map, time_nanos, *edge_model, *speed_m_per_s).await?;
+    let forecasts = session.client.predict_edges(map, time_nanos, *model, *speed_m_per_s).await?;
     let cost = |EdgePrediction { edge, success, duration_secs, .. }| {
         let expected_secs = expected_secs(success, duration_secs, *recovery_secs);
         (edge, EdgeCost { success, duration_secs, expected_secs })

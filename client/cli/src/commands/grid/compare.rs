@@ -39,7 +39,7 @@ pub(crate) struct GridCompareArgs {
     /// Time of the map, past or future
     #[arg(long, value_name = "TIME", default_value = "now", value_parser = times::time)]
     at: i64,
-    /// Model of the map: auto, mean, latest or spectral, each optionally with +belief, +persistence or +memory
+    /// Model of the map: auto, mean, latest or spectral, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Only cells between these heights, metres [default: 0.1:1.8, if the grid has cells there]

@@ -59,7 +59,7 @@ pub(crate) struct GridPredictArgs {
     /// Number of spectral components, 0 to 15 [default: the number that the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
-    /// Model: auto, mean, latest or spectral, each optionally with +belief, +persistence or +memory
+    /// Model: auto, mean, latest or spectral, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Only cells between these heights, metres [default: all; 0.1:1.8 for people, if the grid has cells there]

@@ -36,13 +36,13 @@ fn a_state_that_was_added_is_there_before_anything_is_observed_of_it() {
     assert_eq!((view.observations(), view.position()), (0, 3));
     for (id, expected) in [(0, 0.5), (1, 0.0), (2, 0.0)] {
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
-            for blend in [Blend::None, Blend::Persistence, Blend::Memory, Blend::Belief] {
+            for blend in [Blend::None, Blend::Persistence, Blend::Memory] {
                 let selector = ModelSelector { kind, order: None, blend };
                 assert_eq!(predict_by(&view, id, selector, HOUR), expected, "state {id}, {selector:?}");
             }
         }
         let moments = [Moment { utc_nanos: HOUR, offset_secs: 0 }];
-        let bands = view.intervals(StateId(id), &moments, &[expected], Some(0.9));
+        let bands = view.intervals(StateId(id), (&moments, &[expected]), ModelSelector::default(), Some(0.9));
         assert_eq!(bands.len(), usize::from(id == 0), "of nothing there is no deviation");
     }
     let position = map.position() + 1;
@@ -66,10 +66,9 @@ fn a_state_keeps_its_sensor_and_believes_it_before_and_after_an_update() {
     apply(&mut map, &Event::AddState(new));
     let read = event(&map, &[(0, HOUR, 1.0)]);
     apply(&mut map, &read);
-    let belief = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
     // Before the reading, both values are equally likely.
     let expected = 0.05 + 0.85 * 0.9 / 0.95;
-    let now = |map: &mut LiveMap| predict_by(&map.publish(), 0, belief, HOUR);
+    let now = |map: &mut LiveMap| predict_by(&map.publish(), 0, ModelSelector::default(), HOUR);
     assert!((now(&mut map) - expected).abs() < 1e-12);
     let snapshot = update(&mut map, None);
     assert!((now(&mut map) - expected).abs() < 1e-12);
@@ -116,7 +115,7 @@ fn values_are_learned_restored_and_predicted_in_their_unit() {
         assert!((soon + 100.0).abs() < 30.0 && (late + 250.0).abs() < 5.0, "{soon} {late}");
         for (state, p) in [(1, at(1, 18)), (2, at(2, 6))] {
             let moment = Moment { utc_nanos: 258 * HOUR, offset_secs: 0 };
-            let band = view.intervals(StateId(state), &[moment], &[p], Some(0.9))[0].interval;
+            let band = view.intervals(StateId(state), (&[moment], &[p]), ModelSelector::default(), Some(0.9))[0].interval;
             assert!(band.contains(p) && band.width() > 0.0 && band.width() < 800.0, "{band:?}");
             assert!(state != 2 || band.lower >= 0.0, "{band:?}");
         }

@@ -122,11 +122,11 @@ fn what_a_sensor_shows_now_is_known_as_long_as_its_last_change_holds() {
     assert_eq!(newest(&mut home, now), Some((now, 1.0)));
     // The long-term model does not expect the door to be open in the evening, but it still is.
     let evening = MONDAY + 7 * DAY + 20 * HOUR;
-    assert!(home.predict(Some(evening), evening, "auto") < 0.2);
-    assert!(home.predict(Some(evening), evening, "auto+belief") > 0.8);
+    assert!(home.predict(Some(evening), evening, "ensemble") < 0.2);
+    assert!(home.predict(Some(evening), evening, "auto") > 0.8);
     assert_eq!(
-        home.predict(Some(evening), evening - HOUR, "auto+belief"),
-        home.predict(Some(evening), evening, "auto+belief")
+        home.predict(Some(evening), evening - HOUR, "auto"),
+        home.predict(Some(evening), evening, "auto")
     );
     // A value holds no longer than its maximum time, and not at all in a recording that arrived later.
     assert_eq!(newest(&mut home, now + 5 * DAY), Some((MONDAY + 8 * DAY + 9 * HOUR, 1.0)));

@@ -23,7 +23,7 @@ fn selectors() -> Vec<ModelSelector> {
     let mut selectors = Vec::new();
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for order in [None, Some(0), Some(2), Some(ORDER_MAX)] {
-            let blends = [Blend::None, Blend::Persistence, Blend::Memory, Blend::Belief];
+            let blends = [Blend::None, Blend::Persistence, Blend::Memory];
             selectors.extend(blends.map(|blend| ModelSelector { kind, order, blend }));
         }
     }

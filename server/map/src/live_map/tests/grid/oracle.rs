@@ -181,7 +181,7 @@ impl CellOracle {
         let p = if is_default { self.hours_seen().at(civil_nanos).temper(spectral.mean(), p) } else { p };
         match selector.blend {
             // A cell has no belief.
-            Blend::Persistence | Blend::Belief => self.persistence.blend(p, utc_nanos),
+            Blend::Persistence => self.persistence.blend(p, utc_nanos),
             Blend::Memory => {
                 let basis =
                     MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None, most_likely_secs: None };
