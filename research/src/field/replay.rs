@@ -15,11 +15,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_model::{
-    LocalDay, Sample,
-    models::Interval,
-    selector::ModelSelector,
-};
+use tidemap_model::{LocalDay, Sample, models::Interval, selector::ModelSelector};
 
 use super::{
     FieldError,

@@ -15,10 +15,7 @@ use tidemap_map::{
     topology::Topology,
     traversal::Traversal,
 };
-use tidemap_model::{
-    Sample,
-    selector::ModelSelector,
-};
+use tidemap_model::{Sample, selector::ModelSelector};
 
 use super::{
     RoutesError, START_NANOS,

@@ -136,12 +136,10 @@ impl StateOrCell {
         }
     }
 
-    /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned, and the
-    /// model does not take newer observations into account.
+    /// The model that predicts the state or cell. `None`: the prior predicts it, because nothing was learned.
     pub fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
-        let is_observed = matches!(self, Self::State(_)) && selector.knows_newest() && self.observations(view) > 0;
         let is_learned = matches!(selector.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral);
-        if is_learned && !selector.is_blended() && !is_observed && self.learned(view) == 0 {
+        if is_learned && !selector.is_blended() && self.learned(view) == 0 {
             return None;
         }
         Some(match self {

@@ -106,13 +106,7 @@ impl MapView {
 
     /// The expected squared distances of the means of hours from predictions by a model; `None` where no ensemble of
     /// numbers predicts.
-    fn variances(
-        &self,
-        id: StateId,
-        moments: &[Moment],
-        values: &[f64],
-        selector: ModelSelector,
-    ) -> Option<Vec<f64>> {
+    fn variances(&self, id: StateId, moments: &[Moment], values: &[f64], selector: ModelSelector) -> Option<Vec<f64>> {
         let model = self.model(id);
         if !selector.knows_newest() {
             return model.variances_around(&self.spec.periodicities, moments, values);
@@ -121,7 +115,8 @@ impl MapView {
         let (Some((newest, _)), Some(belief)) = (self.live(id).persistence.last(), model.belief()) else {
             return Some(variances);
         };
-        let share = |at: &Moment| belief.error_share(newest, at.utc_nanos);
+        let is_learned = self.has_learned(id, newest);
+        let share = |at: &Moment| belief.error_share(newest, is_learned, at.utc_nanos);
         Some(moments.iter().zip(variances).map(|(at, variance)| variance * share(at)).collect())
     }
 }

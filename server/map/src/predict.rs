@@ -11,7 +11,8 @@ use tidemap_grid::{
     view::{CellDescription, GridView},
 };
 use tidemap_model::{
-    Belief, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    Belief, InstantPhasors, KnownAtNewest, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel,
+    StateKind,
     models::{Moment, TemporalModel},
     selector::{Blend, ModelKind, ModelSelector},
 };
@@ -147,9 +148,12 @@ impl MapView {
             return;
         }
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
-            (Some(belief), _) => belief.blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out),
+            (Some(belief), _) => {
+                belief.blend_into(&live.recent, newest, self.known_at_newest(id, newest), moments, out)
+            }
             (None, Some(sensor)) => {
-                Belief::of_sensor(sensor).blend_into(&live.recent, newest, self.predicted_now(id, newest), moments, out)
+                let known = self.known_at_newest(id, newest);
+                Belief::of_sensor(sensor).blend_into(&live.recent, newest, known, moments, out);
             }
             (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Persistence, out),
         }
@@ -157,12 +161,17 @@ impl MapView {
         out.iter_mut().for_each(|value| *value = kind.saturate(*value));
     }
 
-    /// The long-term prediction for the newest reading of a state; 0 without a reading.
-    fn predicted_now(&self, id: StateId, newest: Option<(i64, f64)>) -> f64 {
-        let Some((nanos, _)) = newest else { return 0.0 };
+    /// What the long-term model knows of the newest reading of a state.
+    fn known_at_newest(&self, id: StateId, newest: Option<(i64, f64)>) -> KnownAtNewest {
+        let Some((nanos, _)) = newest else { return KnownAtNewest::default() };
         let (times, mut out) = (self.prepare(&[nanos]), [0.0]);
         self.predict_into(id, &times, ModelSelector::default().long_term(), &mut out);
-        out[0]
+        KnownAtNewest { predicted: out[0], is_learned: self.has_learned(id, nanos) }
+    }
+
+    /// Whether updates have learned a reading of a state.
+    pub(crate) fn has_learned(&self, id: StateId, utc_nanos: i64) -> bool {
+        self.model(id).accumulator().last_nanos().is_some_and(|last| utc_nanos <= last)
     }
 
     /// Predicts the probability that a cell is occupied at each time. `out` is as long as the times.

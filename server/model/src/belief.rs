@@ -76,6 +76,15 @@ impl Rates {
 /// The newest learned reading: UTC nanoseconds and value.
 type Newest = (i64, f64);
 
+/// What a model knows of the newest reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct KnownAtNewest {
+    /// The prediction for its time without the newest readings.
+    pub predicted: f64,
+    /// Whether updates have learned it.
+    pub is_learned: bool,
+}
+
 /// The learned data for short-term forecasts of a state; see the top of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Belief {
@@ -99,7 +108,9 @@ pub struct Belief {
     gain: f64,
     days: u32,
     dwells: Dwells,
-    weights: LeadTimeWeights,
+    /// The weights of a newest reading that no update has learned, and of one that the last update has learned: its
+    /// deviation is then part of the prediction already.
+    weights: [LeadTimeWeights; 2],
 }
 
 impl Belief {
@@ -119,7 +130,7 @@ impl Belief {
             gain: 0.0,
             days: 0,
             dwells: Dwells::default(),
-            weights: LeadTimeWeights::default(),
+            weights: [LeadTimeWeights::default(); 2],
         }
     }
 
@@ -169,13 +180,12 @@ impl Belief {
     }
 
     /// Draws predictions towards the forecasts from the newest readings. `recent` and `newest` are those of the state
-    /// now, `predicted_now` is the prediction for the newest reading; predictions for times before the newest reading
-    /// stay as they are. `out` is as long as the moments.
+    /// now; predictions for times before the newest reading stay as they are. `out` is as long as the moments.
     pub fn blend_into(
         &self,
         recent: &Recent,
         newest: Option<(i64, f64)>,
-        predicted_now: f64,
+        known: KnownAtNewest,
         moments: &[Moment],
         out: &mut [f64],
     ) {
@@ -183,16 +193,25 @@ impl Belief {
         let lead_times = moments.iter().map(|moment| lead_secs(newest_nanos, moment.utc_nanos));
         let longest = lead_times.clone().flatten().fold(0.0, f64::max);
         let ahead = self.ahead(recent, (newest_nanos, value), longest);
-        let deviation = self.reading(ahead.at(0.0)) - predicted_now;
-        let weights = self.weights();
+        let deviation = self.reading(ahead.at(0.0)) - known.predicted;
+        let weights = self.weights(known.is_learned);
         for (out, lead) in out.iter_mut().zip(lead_times) {
             let Some(lead) = lead.filter(|lead| LeadTimeWeights::is_near(*lead)) else { continue };
-            let [kept, carried] = LeadTimeWeights::at(&weights, self.first_weights(), lead);
-            *out += kept * (self.reading(ahead.at(lead)) - *out) + carried * deviation;
-            if self.has_two_values {
-                *out = out.clamp(0.0, 1.0);
-            }
+            let weights = LeadTimeWeights::at(&weights, self.first_weights(), lead);
+            *out = self.blended(*out, self.reading(ahead.at(lead)) - *out, deviation, weights);
         }
+    }
+
+    /// A prediction with the weights of the newest readings. `kept`: the difference of their forecast from the
+    /// prediction; `carried`: the deviation of the newest reading.
+    fn blended(&self, predicted: f64, kept: f64, carried: f64, weights: lead_time::Weights) -> f64 {
+        let blended = predicted + weights[0] * kept + weights[1] * carried;
+        if !self.has_two_values {
+            return blended;
+        }
+        // No surer than with this weight of a reading of 0 or 1.
+        let weight = weights[0] + weights[1];
+        blended.clamp(predicted * (1.0 - weight), predicted + (1.0 - predicted) * weight)
     }
 
     /// Whether the newest reading, at `newest_nanos`, has a weight in the forecast for a time.
@@ -201,14 +220,15 @@ impl Belief {
     }
 
     /// The expected squared error of a forecast for a time with the newest reading, at `newest_nanos`, in parts of that
-    /// of the prediction without it: within `(0,1]`.
-    pub fn error_share(&self, newest_nanos: i64, utc_nanos: i64) -> f64 {
-        lead_secs(newest_nanos, utc_nanos).map_or(1.0, |lead| self.weights.error_share(lead))
+    /// of the prediction without it: within `(0,1]`. `is_learned`: updates have learned this reading.
+    pub fn error_share(&self, newest_nanos: i64, is_learned: bool, utc_nanos: i64) -> f64 {
+        let weights = &self.weights[usize::from(is_learned)];
+        lead_secs(newest_nanos, utc_nanos).map_or(1.0, |lead| weights.error_share(lead))
     }
 
     /// The weights of the newest readings, by lead time.
-    fn weights(&self) -> [lead_time::Weights; lead_time::LEAD_TIMES] {
-        self.weights.weights(self.trust_secs(), self.first_weights())
+    fn weights(&self, is_learned: bool) -> [lead_time::Weights; lead_time::LEAD_TIMES] {
+        self.weights[usize::from(is_learned)].weights(self.trust_secs(), self.first_weights())
     }
 
     /// The weights just after the newest reading.

@@ -73,7 +73,9 @@ pub use angle::{
     ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, circular_deviation_rad, cos_sin,
     deviation_of_direction_rad, direction_rad,
 };
-pub use belief::{Belief, InvalidStateSensor, Rates, Recent, RecentSpan, SPANS_MAX, SensorNoise, StateSensor};
+pub use belief::{
+    Belief, InvalidStateSensor, KnownAtNewest, Rates, Recent, RecentSpan, SPANS_MAX, SensorNoise, StateSensor,
+};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
 pub use ensemble::{AnyEnsemble, Ensemble, NumberEnsemble, OtherModels, TrainedEnsemble};

@@ -10,7 +10,7 @@ mod folder;
 use folder::recordings;
 
 use tidemap_model::{
-    OrderCriterion, Periodicities, Persistence, Recent, Sample, StateModel, Zone,
+    KnownAtNewest, OrderCriterion, Periodicities, Persistence, Recent, Sample, StateModel, Zone,
     models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel as _},
 };
 
@@ -52,6 +52,10 @@ impl Score {
     }
 }
 
+fn not_learned(predicted: f64) -> KnownAtNewest {
+    KnownAtNewest { predicted, is_learned: false }
+}
+
 /// The scores of a feature of the room, learned from one recording and tested on another, by lead time in seconds.
 fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
     let periodicities = Periodicities::default();
@@ -69,7 +73,13 @@ fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
             let moments: Vec<Moment> =
                 ahead_secs.iter().map(|secs| Moment { utc_nanos: origin + secs * SEC, offset_secs: 0 }).collect();
             let mut out = vec![model.spectral().mean(); moments.len()];
-            model.belief().unwrap().blend_into(&recent, newest, model.spectral().mean(), &moments, &mut out);
+            model.belief().unwrap().blend_into(
+                &recent,
+                newest,
+                not_learned(model.spectral().mean()),
+                &moments,
+                &mut out,
+            );
             for ((score, moment), predicted) in scores.iter_mut().zip(&moments).zip(out) {
                 if moment.utc_nanos <= end {
                     score.add(predicted, truth_at(moment.utc_nanos));
@@ -131,7 +141,7 @@ fn the_newest_reading_of_the_door_counts_by_lag() {
             };
             let auto = habit(moment);
             let mut blended = [auto];
-            let now = habit(sample.moment());
+            let now = not_learned(habit(sample.moment()));
             model.belief().unwrap().blend_into(&recent, persistence.last(), now, &[moment], &mut blended);
             score[0].add(auto, truth);
             score[1].add(blended[0], truth);

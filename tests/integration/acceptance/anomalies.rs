@@ -181,6 +181,8 @@ fn a_watch_sees_an_anomaly_that_a_second_process_sends_and_not_what_is_expected(
             "2016-03-21T00:00:00Z",
             "--step",
             "10m",
+            "--model",
+            "ensemble",
         ])
         .table();
     let (times, texts, numbers) = (week.column("time"), week.column("probability"), week.numbers("probability"));

@@ -39,7 +39,23 @@ fn predictions_follow_from_what_was_learned() {
     assert_eq!(first.number("accepted"), 2.0);
     let unlearned = door.tidemap(["predict", "door", "door", "--at", "1451865720"]).table();
     assert_eq!(unlearned.columns, COLUMNS);
-    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60", "prior", "2", "1"]]);
+    assert_eq!(
+        unlearned.rows,
+        [[
+            "1451865720",
+            "door",
+            "0.19925138036893558",
+            "0",
+            "1",
+            "0.7204283265950056",
+            "0",
+            "2",
+            "60",
+            "prior",
+            "2",
+            "1"
+        ]]
+    );
     let latest = door.tidemap(["predict", "door", "door", "--at", "1451865720", "--model", "latest"]).table();
     assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60", "latest", "2", "1"]]);
     door.tidemap(["map", "delete", "door", "--yes"]);

@@ -44,9 +44,7 @@ pub(crate) struct EvaluateArgs {
 
 fn models_help() -> String {
     let forms = ModelKind::forms();
-    format!(
-        "Models, each optionally with +persistence or +memory: {forms}; or all, for every kind without a suffix"
-    )
+    format!("Models, each optionally with +persistence or +memory: {forms}; or all, for every kind without a suffix")
 }
 
 /// A model, or all models.

@@ -11,10 +11,7 @@ mod server;
 use std::{net::IpAddr, process::ExitCode};
 
 use clap::Args;
-use tidemap_client::{
-    clock,
-    queries::ModelSelector,
-};
+use tidemap_client::{clock, queries::ModelSelector};
 use tidemap_model::time::format_rfc3339;
 
 use super::{

@@ -9,9 +9,7 @@ use tidemap_plan::{information::LookWorth, strategy::Budget};
 
 use super::{allowance_from_wire, certainty_from_wire, measure_from_wire, slot_from_wire};
 use crate::{
-    convert::{
-        InvalidField, query::selector_from_wire, site::location_names_from_wire, time::instant_from_wire,
-    },
+    convert::{InvalidField, query::selector_from_wire, site::location_names_from_wire, time::instant_from_wire},
     v1,
 };
 

@@ -78,9 +78,10 @@ fn update(map: &mut LiveMap, until: Option<i64>) -> MapSnapshot {
     map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"))
 }
 
+/// The prediction without the newest readings.
 fn predict(view: &MapView, state: u32, time: i64) -> f64 {
     let mut out = [0.0];
-    view.predict_into(StateId(state), &view.prepare(&[time]), ModelSelector::default(), &mut out);
+    view.predict_into(StateId(state), &view.prepare(&[time]), ModelSelector::default().long_term(), &mut out);
     out[0]
 }
 

@@ -51,7 +51,7 @@ impl StoredFields for Belief {
         visitor.messages(8, "values with dwells", &mut self.dwells.of_value)?;
         visitor.messages(9, "dwell that has not ended", &mut self.dwells.open)?;
         let weights = |sums: Vec<f64>| LeadTimeWeights::from_sums(&sums);
-        visitor.converted(10, "sums by lead time", &mut self.weights, |weights| weights.to_sums(), weights)
+        visitor.converted(10, "sums by lead time", &mut self.weights, LeadTimeWeights::to_sums, weights)
     }
 
     fn finish(&mut self) -> Result<(), InvalidParts> {

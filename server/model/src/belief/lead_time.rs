@@ -21,7 +21,7 @@ const END_SECS: f64 = 7.0 * 86_400.0;
 /// κ, in units of the state's variance.
 const SHRINKAGE: f64 = 4.0;
 /// The same for w₁ alone.
-const KEPT_SHRINKAGE: f64 = 0.5;
+const KEPT_SHRINKAGE: f64 = 4.0;
 /// The share of the squared error begins at 1, with the weight of errors of this many variances of the state.
 const ERROR_SHRINKAGE: f64 = 2.0;
 /// While lead times are not yet scored, readings of a chain are trusted for this many times 1/(α+β).
@@ -30,6 +30,11 @@ pub(super) const TRUSTED_TIMES: f64 = 8.0;
 pub(super) const PRIOR_TRUST_SECS: f64 = 3600.0;
 /// The share of the sums that remains after each day that was scored.
 const KEPT: f64 = 0.98;
+
+/// Number of stored sums of each lead time, for both kinds of newest readings.
+const ALL_SUMS: usize = 2 * 7 * LEAD_TIMES;
+/// Number of stored sums that are of the newest value alone.
+const NEWEST_SUMS: usize = 2 * LEAD_TIMES;
 
 /// w₁ and w₂.
 pub(super) type Weights = [f64; 2];
@@ -51,7 +56,7 @@ pub(super) struct Scored {
 
 impl Scored {
     /// u - a and u₀ - a₀.
-    fn features(&self) -> [f64; 2] {
+    pub(super) fn features(&self) -> [f64; 2] {
         [self.stored - self.predicted, self.stored_now - self.predicted_now]
     }
 }
@@ -87,12 +92,15 @@ impl LeadTimeWeights {
         (0.0..LEAD_TIMES as f64).contains(&place).then_some(place as usize)
     }
 
-    /// Adds a value that was predicted at a lead time, by its number. `unit`: the state's variance.
-    pub(super) fn add(&mut self, lead: usize, scored: &Scored, weights: Weights, unit: f64) {
+    /// Adds a value that was predicted at a lead time, by its number. `blended`: the forecast p; `unit`: the state's
+    /// variance.
+    pub(super) fn add(&mut self, lead: usize, scored: &Scored, blended: f64, unit: f64) {
         let Some(sums) = self.sums.get_mut(lead) else { return };
         let ([kept, carried], error) = (scored.features(), scored.value - scored.predicted);
-        let blended = error - weights[0] * kept - weights[1] * carried;
-        let add = |sums: &mut [f64], values: &[f64]| sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit);
+        let blended = scored.value - blended;
+        let add = |sums: &mut [f64], values: &[f64]| {
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit)
+        };
         add(&mut sums.squares, &[kept * kept, kept * carried, carried * carried]);
         add(&mut sums.products, &[error * kept, error * carried]);
         add(&mut sums.errors, &[error * error, blended * blended]);
@@ -156,40 +164,56 @@ impl LeadTimeWeights {
         1.0 - (1.0 - before.1) * faded(lead_secs)
     }
 
-    /// The weights from stored sums, seven of each lead time; no sums for a state that was never scored.
+    /// The weights of a reading that was not learned and of one that was, from stored sums: seven of each lead time of
+    /// both. Sums of the newest value alone are two for each lead time: first Σ(y-a)(u-a), then Σ(u-a)². No sums: the
+    /// state was never scored.
     ///
     /// # Errors
-    /// [`InvalidParts`] where there are not seven sums for each lead time, or one is outside its range.
-    pub(super) fn from_sums(sums: &[f64]) -> Result<LeadTimeWeights, InvalidParts> {
-        let mut weights = LeadTimeWeights::default();
-        if !sums.is_empty() && sums.len() != 7 * LEAD_TIMES {
-            return Err(InvalidParts::OutOfRange { field: "number of sums by lead time", found: sums.len() as f64 });
+    /// [`InvalidParts`] for another number of sums, or for one outside its range.
+    pub(super) fn from_sums(stored: &[f64]) -> Result<[LeadTimeWeights; 2], InvalidParts> {
+        let mut weights = [LeadTimeWeights::default(); 2];
+        let all = weights.iter_mut().flat_map(|weights| &mut weights.sums);
+        match stored.len() {
+            0 => {}
+            NEWEST_SUMS => {
+                let (products, squares) = stored.split_at(LEAD_TIMES);
+                for (sums, (&product, &square)) in all.zip(products.iter().zip(squares)) {
+                    *sums = LeadSums { squares: [square, 0.0, 0.0], products: [product, 0.0], errors: [0.0; 2] };
+                }
+            }
+            ALL_SUMS => {
+                for (sums, &[own, both, carried, kept_error, carried_error, error, blended]) in
+                    all.zip(stored.as_chunks().0)
+                {
+                    *sums = LeadSums {
+                        squares: [own, both, carried],
+                        products: [kept_error, carried_error],
+                        errors: [error, blended],
+                    };
+                }
+            }
+            found => {
+                return Err(InvalidParts::OutOfRange { field: "number of sums by lead time", found: found as f64 });
+            }
         }
-        for (to, &[own, both, carried, kept_error, carried_error, error, blended]) in
-            weights.sums.iter_mut().zip(sums.as_chunks().0)
-        {
-            for square in [own, carried, error, blended] {
+        for sums in weights.iter().flat_map(|weights| &weights.sums) {
+            for square in [sums.squares[0], sums.squares[2], sums.errors[0], sums.errors[1]] {
                 InvalidParts::check("sum of squares by lead time", square, 0.0..=f64::MAX)?;
             }
-            for product in [both, kept_error, carried_error] {
+            for product in [sums.squares[1], sums.products[0], sums.products[1]] {
                 InvalidParts::check("sum of products by lead time", product, f64::MIN..=f64::MAX)?;
             }
-            *to = LeadSums {
-                squares: [own, both, carried],
-                products: [kept_error, carried_error],
-                errors: [error, blended],
-            };
         }
         Ok(weights)
     }
 
     /// The sums to store.
-    pub(super) fn to_sums(self) -> Vec<f64> {
-        if self == LeadTimeWeights::default() {
+    pub(super) fn to_sums(weights: &[LeadTimeWeights; 2]) -> Vec<f64> {
+        if *weights == [LeadTimeWeights::default(); 2] {
             return Vec::new();
         }
         let of_lead = |sums: &LeadSums| [&sums.squares[..], &sums.products, &sums.errors].concat();
-        self.sums.iter().flat_map(of_lead).collect()
+        weights.iter().flat_map(|weights| &weights.sums).flat_map(of_lead).collect()
     }
 }
 

@@ -7,8 +7,12 @@
 //! the data that was learned before it.
 
 use super::{
-    Belief, Bin, Newest, Rates, Recent, SensorNoise, bins_after, dwell::Dwells, lead_secs, lead_time::{LeadTimeWeights, Scored},
-    noise, recent::RecentReplay,
+    Belief, Bin, Newest, Rates, Recent, SensorNoise, bins_after,
+    dwell::Dwells,
+    lead_secs,
+    lead_time::{LeadTimeWeights, Scored},
+    noise,
+    recent::RecentReplay,
 };
 use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
 
@@ -103,6 +107,8 @@ impl Belief {
                 (judge.recent, judge.newest) = (recent, newest);
             }
         }
+        // Nothing was learned before.
+        judge.newest = None;
         judge.score_lead_times(rest, &|samples| vec![mean; samples.len()], unit);
         self.weights = judge.weights;
     }
@@ -140,8 +146,9 @@ impl Belief {
             .collect();
         let samples: Vec<Sample> = targets.iter().map(|target| target.sample).collect();
         let (predictions, at_origins) = (predict(&samples), predict(&origins));
-        let weights = self.weights();
-        self.weights.fade();
+        let weights = [false, true].map(|is_learned| self.weights(is_learned));
+        self.weights.iter_mut().for_each(LeadTimeWeights::fade);
+        let learned_nanos = self.newest.map(|(nanos, _)| nanos);
         let mut origin = 0;
         for (target, predicted) in targets.iter().zip(predictions) {
             if origins[origin].utc_nanos != target.since_nanos {
@@ -154,8 +161,11 @@ impl Belief {
                 stored: target.stored,
                 stored_now: target.stored_now,
             };
-            let weights = LeadTimeWeights::at(&weights, self.first_weights(), target.secs);
-            self.weights.add(target.lead, &scored, weights, unit);
+            let is_learned = usize::from(Some(target.since_nanos) == learned_nanos);
+            let weights = LeadTimeWeights::at(&weights[is_learned], self.first_weights(), target.secs);
+            let [kept, carried] = scored.features();
+            let blended = self.blended(predicted, kept, carried, weights);
+            self.weights[is_learned].add(target.lead, &scored, blended, unit);
         }
     }
 
@@ -201,8 +211,13 @@ impl Belief {
         }
         let ahead = self.ahead(recent, newest, longest);
         let stored_now = self.reading(ahead.at(0.0));
-        let target = |(lead, secs, sample)| {
-            Target { lead, secs, stored: self.reading(ahead.at(secs)), stored_now, since_nanos: newest.0, sample }
+        let target = |(lead, secs, sample)| Target {
+            lead,
+            secs,
+            stored: self.reading(ahead.at(secs)),
+            stored_now,
+            since_nanos: newest.0,
+            sample,
         };
         targets.extend(found.into_iter().map(target));
     }

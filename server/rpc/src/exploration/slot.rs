@@ -15,7 +15,8 @@ use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::exploration::{
-        LocationChoice, PlannedSlot, SlotAllowance, SlotModels, SlotQuestion, planned_slot_to_wire, slot_question_from_wire,
+        LocationChoice, PlannedSlot, SlotAllowance, SlotModels, SlotQuestion, planned_slot_to_wire,
+        slot_question_from_wire,
     },
     v1,
 };
@@ -134,9 +135,8 @@ impl Slot<'_> {
         let is_cell = |member: &&StateOrCell| matches!(member, StateOrCell::Cell(_));
         let (cells, states): (Vec<_>, Vec<_>) = all.iter().cloned().partition(|member| is_cell(&member));
         let context = || self.explorations.predict_context();
-        let predict = |members, model| {
-            predict_series(context(), self.handle, self.view, (members, times.to_vec()), model)
-        };
+        let predict =
+            |members, model| predict_series(context(), self.handle, self.view, (members, times.to_vec()), model);
         let (of_cells, of_states) = (predict(cells, models.cells).await?, predict(states, models.states).await?);
         let (mut of_cells, mut of_states) = (of_cells.into_iter(), of_states.into_iter());
         let row = |member: &StateOrCell| if is_cell(&member) { of_cells.next() } else { of_states.next() };

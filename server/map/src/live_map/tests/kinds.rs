@@ -115,7 +115,8 @@ fn values_are_learned_restored_and_predicted_in_their_unit() {
         assert!((soon + 100.0).abs() < 30.0 && (late + 250.0).abs() < 5.0, "{soon} {late}");
         for (state, p) in [(1, at(1, 18)), (2, at(2, 6))] {
             let moment = Moment { utc_nanos: 258 * HOUR, offset_secs: 0 };
-            let band = view.intervals(StateId(state), (&[moment], &[p]), ModelSelector::default(), Some(0.9))[0].interval;
+            let band =
+                view.intervals(StateId(state), (&[moment], &[p]), ModelSelector::default(), Some(0.9))[0].interval;
             assert!(band.contains(p) && band.width() > 0.0 && band.width() < 800.0, "{band:?}");
             assert!(state != 2 || band.lower >= 0.0, "{band:?}");
         }

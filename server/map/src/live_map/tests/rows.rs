@@ -105,7 +105,7 @@ fn changes_are_learned_as_the_values_that_hold_between_them() {
     assert_eq!((view.live(StateId(0)).observations, view.pending_of(StateId(0))), (29, 1));
     for hour in 0..24 {
         let at = MONDAY + 14 * DAY + hour * HOUR + 30 * MINUTE;
-        let (held, expected) = (home.predict(None, at, "auto"), sampled.predict(None, at, "auto"));
+        let (held, expected) = (home.predict(None, at, "ensemble"), sampled.predict(None, at, "ensemble"));
         assert!((held - expected).abs() < 1e-9, "{held} {expected} at {hour}");
         assert!((held - f64::from(u8::from((9..17).contains(&hour)))).abs() < 0.1, "{held} at {hour}");
     }
@@ -124,10 +124,7 @@ fn what_a_sensor_shows_now_is_known_as_long_as_its_last_change_holds() {
     let evening = MONDAY + 7 * DAY + 20 * HOUR;
     assert!(home.predict(Some(evening), evening, "ensemble") < 0.2);
     assert!(home.predict(Some(evening), evening, "auto") > 0.8);
-    assert_eq!(
-        home.predict(Some(evening), evening - HOUR, "auto"),
-        home.predict(Some(evening), evening, "auto")
-    );
+    assert_eq!(home.predict(Some(evening), evening - HOUR, "auto"), home.predict(Some(evening), evening, "auto"));
     // A value holds no longer than its maximum time, and not at all in a recording that arrived later.
     assert_eq!(newest(&mut home, now + 5 * DAY), Some((MONDAY + 8 * DAY + 9 * HOUR, 1.0)));
     let mut recording = Home::new(StateKind::Probability, Reporting::Changes(hold(DAY, 5 * MINUTE)));

@@ -177,14 +177,17 @@ impl FarStacks {
     /// least 1. `of_bins`: the variance of all bins.
     pub(super) fn growth(&self, days: i64, near: &Spread, of_bins: f64) -> f64 {
         let of_near = near.of_all(of_bins);
-        let mut widest = of_near;
+        let (mut widest, mut uncertain) = (of_near, 1.0);
         for (class, known) in self.classes.iter().enumerate().take(class_of(days).map_or(0, |class| class + 1)) {
             let days = AHEAD_DAYS[class] as f64;
-            let found = shrunk(known.errors, of_bins.max(widest), FIRST_HOURS * days);
-            let independent = known.errors[1] / (HOURS as f64 * days);
-            widest = widest.max(found * (1.0 + 1.0 / independent.max(1.0)));
+            let [_, hours] = known.errors;
+            let first_hours = FIRST_HOURS * days;
+            widest = widest.max(shrunk(known.errors, of_bins.max(widest), first_hours));
+            // An estimate from few errors is uncertain.
+            let independent = hours / (HOURS as f64 * days);
+            uncertain = 1.0 + hours / (hours + first_hours) / independent.max(1.0);
         }
-        if of_near > 0.0 { widest / of_near } else { 1.0 }
+        if of_near > 0.0 { widest * uncertain / of_near } else { 1.0 }
     }
 }
 

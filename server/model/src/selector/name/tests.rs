@@ -31,7 +31,6 @@ fn models_are_named_as_on_the_command_line() {
         "poisson",
         "calibrated+persistence",
         "auto+memory",
-        "auto+belief",
         "pergam:2:36h+memory",
     ] {
         let model: ModelSelector = text.parse().expect(text);

@@ -7,6 +7,9 @@ use tidemap_map::{
     name::StateName,
 };
 
+use tidemap_model::selector::ModelSelector;
+use tidemap_proto::convert::query::selector_to_wire;
+
 use super::*;
 
 /// The number of the map among those of the daemons.
@@ -51,6 +54,8 @@ impl Member {
             map: "office".to_owned(),
             states: vec!["door".to_owned()],
             times_nanos: vec![1_700_000_000_000_000_000],
+            // The model of the last update, which the index has.
+            model: Some(selector_to_wire(ModelSelector::default().long_term())),
             ..Default::default()
         });
         mark(&mut request, at_least);

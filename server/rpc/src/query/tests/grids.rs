@@ -2,6 +2,9 @@
 
 use tidemap_grid::predict::{GridQuestion, TileCells};
 
+use tidemap_model::selector::{ModelKind, ModelSelector};
+use tidemap_proto::convert::query::selector_to_wire;
+
 use super::*;
 
 fn box_of(min: [i32; 3], max: [i32; 3]) -> Option<v1::CellBox> {
@@ -26,7 +29,9 @@ async fn cells_are_predicted_and_described_by_name() {
     bench.update().await;
 
     let times: Vec<i64> = (0..300).map(|i| NOON + i * 7 * MINUTE).collect();
-    let replies = bench.names(&["cell/2/0/0", "door", "cell/1/0/0", "cell/3/0/0"], &times).await.expect("known");
+    let spectral = Some(selector_to_wire(ModelSelector { kind: ModelKind::Spectral, ..ModelSelector::default() }));
+    let names = ["cell/2/0/0", "door", "cell/1/0/0", "cell/3/0/0"];
+    let replies = bench.predict(&names, &times, spectral).await.expect("known");
     assert_eq!(replies.iter().map(|reply| reply.state_index).collect::<Vec<_>>(), [0, 1, 2, 3]);
     assert_eq!(replies[0].probabilities.len(), 300);
     let mut apart = replies[0].probabilities.iter().zip(&replies[1].probabilities).map(|(a, b)| (a - b).abs());

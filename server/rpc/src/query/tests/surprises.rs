@@ -1,5 +1,8 @@
 //! Tests of surprises: pending and learned.
 
+use tidemap_model::selector::ModelSelector;
+use tidemap_proto::convert::query::selector_to_wire;
+
 use super::*;
 
 /// A door every half-hour: open in the first half of each day.
@@ -35,7 +38,8 @@ async fn an_observation_is_as_surprising_after_it_was_learned_as_before() {
         *value = 1.0 - *value;
     }
     let times: Vec<i64> = night.iter().map(|(time, _)| *time).collect();
-    let replies = bench.predict(&["door"], &times, None).await.expect("an answer");
+    let long_term = Some(selector_to_wire(ModelSelector::default().long_term()));
+    let replies = bench.predict(&["door"], &times, long_term).await.expect("an answer");
     let expected: Vec<f64> = replies.into_iter().flat_map(|reply| reply.probabilities).collect();
     robot.observe(&bench, &night).await;
     let pending = bench.all().await;
