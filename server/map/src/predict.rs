@@ -126,7 +126,11 @@ impl MapView {
     /// The moments at which the newest readings are blended in. For a state that reports changes, the moments since its
     /// newest row are replaced by the last moment at which the value is known, because the value has held all the time.
     fn held_moments<'a>(&self, id: StateId, live: &LiveState, moments: &'a [Moment]) -> Cow<'a, [Moment]> {
-        let Some((until, _)) = live.persistence.last() else { return Cow::Borrowed(moments) };
+        // The number of events of a step does not hold until the next one.
+        let is_of_changes = self.info(id).is_some_and(|info| info.reporting.is_changes());
+        let Some((until, _)) = live.persistence.last().filter(|_| is_of_changes) else {
+            return Cow::Borrowed(moments);
+        };
         let since = self.as_observed(id).newest_row.filter(|row| row.has_value).map_or(until, |row| row.nanos);
         if since >= until || !moments.iter().any(|moment| (since..until).contains(&moment.utc_nanos)) {
             return Cow::Borrowed(moments);

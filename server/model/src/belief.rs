@@ -222,13 +222,17 @@ impl Belief {
     /// The expected squared error of a forecast for a time with the newest reading, at `newest_nanos`, in parts of that
     /// of the prediction without it: within `(0,1]`. `is_learned`: updates have learned this reading.
     pub fn error_share(&self, newest_nanos: i64, is_learned: bool, utc_nanos: i64) -> f64 {
-        let weights = &self.weights[usize::from(is_learned)];
+        let [other, learned] = self.weights;
+        let weights = if is_learned { learned } else { other.and(&learned) };
         lead_secs(newest_nanos, utc_nanos).map_or(1.0, |lead| weights.error_share(lead))
     }
 
-    /// The weights of the newest readings, by lead time.
+    /// The weights of the newest readings, by lead time. The errors from readings that were learned show how readings
+    /// fare at the longest lead times, too.
     fn weights(&self, is_learned: bool) -> [lead_time::Weights; lead_time::LEAD_TIMES] {
-        self.weights[usize::from(is_learned)].weights(self.trust_secs(), self.first_weights())
+        let [other, learned] = &self.weights;
+        let weights = other.and(learned).weights(self.trust_secs(), self.first_weights());
+        if is_learned { learned.weights_of_learned(&weights) } else { weights }
     }
 
     /// The weights just after the newest reading.

@@ -165,7 +165,8 @@ impl Reporting {
         self.hold().map_or(0, |hold| u64::from(86_400_u32.div_ceil(hold.step_secs)))
     }
 
-    fn is_changes(self) -> bool {
+    /// Whether rows are changes of the value.
+    pub fn is_changes(self) -> bool {
         matches!(self, Reporting::Changes(_))
     }
 

@@ -126,6 +126,25 @@ impl LeadTimeWeights {
         })
     }
 
+    /// The weights for a newest reading that was learned. The prediction knows it already, so each lead time is shrunk to
+    /// the weights of other readings, and to 0 where it is long.
+    pub(super) fn weights_of_learned(&self, others: &[Weights; LEAD_TIMES]) -> [Weights; LEAD_TIMES] {
+        std::array::from_fn(|lead| {
+            let trust = libm::exp(-Self::lead_secs(lead) / PRIOR_TRUST_SECS);
+            self.sums[lead].solve(others[lead].map(|weight| weight * trust))
+        })
+    }
+
+    /// The sums of both.
+    pub(super) fn and(mut self, other: &LeadTimeWeights) -> LeadTimeWeights {
+        for (sums, more) in self.sums.iter_mut().zip(&other.sums) {
+            let all = sums.squares.iter_mut().chain(&mut sums.products).chain(&mut sums.errors);
+            let more = more.squares.iter().chain(&more.products).chain(&more.errors);
+            all.zip(more).for_each(|(sum, more)| *sum += more);
+        }
+        self
+    }
+
     /// The weights at a lead time in seconds, interpolated in the logarithm of the lead time; beyond the longest they
     /// fade.
     pub(super) fn at(weights: &[Weights; LEAD_TIMES], first: Weights, lead_secs: f64) -> Weights {
