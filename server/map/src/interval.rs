@@ -2,7 +2,8 @@
 //!
 //! Where a state of probabilities has an ensemble, its predictive distribution gives the band and the probability that
 //! the band contains the mean. Where a state of other values has an ensemble, its errors at the lead time give the
-//! band, and the newest reading narrows it as far as it has made errors smaller; elsewhere the spread of single hours gives it. These bands are stated to have their level.
+//! band, and the newest reading narrows it as far as it has made errors smaller; elsewhere the spread of single hours
+//! gives it. These bands are stated to have their level.
 //!
 //! Invariant: a band contains its prediction and lies in the bounds of the state's kind. The band of a probability that
 //! was never observed is [0, 1]; a state of another kind has no band then.

@@ -165,7 +165,7 @@ impl MapView {
         out.iter_mut().for_each(|value| *value = kind.saturate(*value));
     }
 
-    /// What the long-term model knows of the newest reading of a state.
+    /// The long-term prediction for the newest reading of a state, and whether updates have learned it.
     fn known_at_newest(&self, id: StateId, newest: Option<(i64, f64)>) -> KnownAtNewest {
         let Some((nanos, _)) = newest else { return KnownAtNewest::default() };
         let (times, mut out) = (self.prepare(&[nanos]), [0.0]);

@@ -76,12 +76,12 @@ impl Rates {
 /// The newest learned reading: UTC nanoseconds and value.
 type Newest = (i64, f64);
 
-/// What a model knows of the newest reading.
+/// A prediction for the newest reading by a model without it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KnownAtNewest {
-    /// The prediction for its time without the newest readings.
+    /// The prediction for the time of the newest reading.
     pub predicted: f64,
-    /// Whether updates have learned it.
+    /// Whether updates have learned the newest reading.
     pub is_learned: bool,
 }
 
@@ -211,7 +211,7 @@ impl Belief {
         }
         // No surer than with this weight of a reading of 0 or 1.
         let weight = weights[0] + weights[1];
-        blended.clamp(predicted * (1.0 - weight), predicted + (1.0 - predicted) * weight)
+        blended.max(predicted * (1.0 - weight)).min(predicted + (1.0 - predicted) * weight)
     }
 
     /// Whether the newest reading, at `newest_nanos`, has a weight in the forecast for a time.

@@ -72,7 +72,7 @@ impl ModelSelector {
         self.leaves_choice() && !self.is_blended()
     }
 
-    /// The same model of a state without its newest readings.
+    /// The model of a state without its newest readings: the ensemble in place of the default model.
     #[must_use]
     pub fn long_term(self) -> ModelSelector {
         if self.knows_newest() { ModelSelector { kind: ModelKind::Ensemble, ..self } } else { self }

@@ -316,20 +316,20 @@ impl World {
                 (ModelKind::Mean, None),
                 (ModelKind::Spectral, Some(3)),
                 (ModelKind::Spectral, Some(15)),
-                (ModelKind::Auto, None),
+                (ModelKind::Ensemble, None),
             ] {
                 // Models with similar errors predict together; the naive map has the spectral model only.
                 let is_alone = model.model_errors.iter().all(|(other, error)| {
                     other.kind == ModelKind::Spectral || *error > 2.0 * lowest_error(&model.model_errors)
                 });
-                if kind == ModelKind::Auto && !(model.chosen.kind == ModelKind::Spectral && is_alone) {
+                if kind == ModelKind::Ensemble && !(model.chosen.kind == ModelKind::Spectral && is_alone) {
                     continue;
                 }
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
                 let mut runs = client.predict(name, vec![state.clone()], times.clone(), selector);
                 let run = runs.next().await.expect("the state is there").expect("predictions");
                 // After enough days an ensemble predicts.
-                if kind == ModelKind::Auto && run.answered_by.is_some_and(|by| by.kind != ModelKind::Spectral) {
+                if kind == ModelKind::Ensemble && run.answered_by.is_some_and(|by| by.kind != ModelKind::Spectral) {
                     continue;
                 }
                 let order = order.unwrap_or(model.order as usize);
@@ -338,7 +338,7 @@ impl World {
                     let expected = match kind {
                         ModelKind::Latest => latest,
                         ModelKind::Mean => map.mean(id),
-                        ModelKind::Spectral | ModelKind::Auto => map.predicted(id, used, nanos),
+                        ModelKind::Spectral | ModelKind::Ensemble => map.predicted(id, used, nanos),
                         other => panic!("{other:?} is not asked for here"),
                     };
                     near(&format!("{selector} of {what} at {nanos}"), found, expected);

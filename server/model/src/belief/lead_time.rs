@@ -1,5 +1,5 @@
-//! The weight of the newest readings against a prediction, by lead time. A lead time is the time from the newest reading
-//! to the predicted moment.
+//! The weight of the newest readings against a prediction, by lead time: the time from the newest reading to the
+//! predicted moment.
 //!
 //! p = a + w₁(u - a) + w₂(u₀ - a₀), with the prediction a and the forecast u from the newest readings, and with both at
 //! the newest reading, a₀ and u₀. So w₁ keeps the newest value, and w₂ carries its deviation from the routine on. The
@@ -18,9 +18,9 @@ const LONGEST_SECS: f64 = 86_400.0;
 const NOW_SECS: f64 = 1.0;
 /// From this lead time on the newest readings have no weight.
 const END_SECS: f64 = 7.0 * 86_400.0;
-/// κ, in units of the state's variance.
+/// κ of w₁ + w₂, in units of the state's variance.
 const SHRINKAGE: f64 = 4.0;
-/// The same for w₁ alone.
+/// κ of w₁ alone, beside that of the sum of both weights.
 const KEPT_SHRINKAGE: f64 = 4.0;
 /// The share of the squared error begins at 1, with the weight of errors of this many variances of the state.
 const ERROR_SHRINKAGE: f64 = 2.0;
@@ -98,6 +98,10 @@ impl LeadTimeWeights {
         let Some(sums) = self.sums.get_mut(lead) else { return };
         let ([kept, carried], error) = (scored.features(), scored.value - scored.predicted);
         let blended = scored.value - blended;
+        // Values whose squares are no numbers in this unit teach nothing.
+        if !((kept * kept + carried * carried + error * error + blended * blended) / unit).is_finite() {
+            return;
+        }
         let add = |sums: &mut [f64], values: &[f64]| {
             sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit)
         };
@@ -126,8 +130,8 @@ impl LeadTimeWeights {
         })
     }
 
-    /// The weights for a newest reading that was learned. The prediction knows it already, so each lead time is shrunk to
-    /// the weights of other readings, and to 0 where it is long.
+    /// The weights for a newest reading that was learned. The prediction knows it already, so the weights of a lead
+    /// time are shrunk to those of other readings, and to 0 where it is long.
     pub(super) fn weights_of_learned(&self, others: &[Weights; LEAD_TIMES]) -> [Weights; LEAD_TIMES] {
         std::array::from_fn(|lead| {
             let trust = libm::exp(-Self::lead_secs(lead) / PRIOR_TRUST_SECS);
@@ -242,8 +246,8 @@ fn faded(lead_secs: f64) -> f64 {
 }
 
 impl LeadSums {
-    /// The share of the squared error of the prediction that remains, drawn to 1 in proportion to the logarithm: a share
-    /// of a thousandth is found as soon as one of a half.
+    /// The share of the squared error of the prediction that remains. Its logarithm is drawn to 0, so that a share of a
+    /// thousandth is found as soon as one of a half.
     fn error_share(&self) -> f64 {
         let [of_prediction, blended] = self.errors;
         let ratio = blended / of_prediction;

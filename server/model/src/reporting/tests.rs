@@ -188,8 +188,8 @@ proptest! {
         // A late row that ends a value is not taken into account.
         let is_ended = second.iter().any(|(_, value)| value.is_none());
         let ended = if is_ended { (hold.max_nanos() / hold.step_nanos()) as u64 } else { 0 };
-        let most = made + 2 * rows + 3 + ended;
-        prop_assert!(made <= counted && counted <= most, "{made} readings were counted as {counted}");
+        let limit = made + 2 * rows + 3 + ended;
+        prop_assert!(made <= counted && counted <= limit, "{made} readings were counted as {counted}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The published ways to draw a prediction towards the newest reading.
 //!
-//! The default model takes the newest readings into account by itself; these are asked for by name. Invariant: a drawn probability lies between the prediction and the newest value.
+//! The default model takes the newest readings into account by itself; these are asked for by name. Invariant: a drawn
+//! probability lies between the prediction and the newest value.
 
 use crate::{MemoryBasis, Persistence};
 

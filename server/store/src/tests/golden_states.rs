@@ -151,5 +151,5 @@ fn few() -> StateSnapshot {
 }
 
 pub(super) fn map() -> Golden {
-    Golden { spec: spec(), events: vec![update()], snapshot: snapshot(), rows: 0xDC75_F6A6 }
+    Golden { spec: spec(), events: vec![update()], snapshot: snapshot(), rows: 0xE54B_97C3 }
 }
