@@ -54,7 +54,7 @@ impl SlotModels {
         match is_novelty {
             // The plan of the day is compared with what was observed since, which must not be in it.
             true => SlotModels { states: auto.long_term(), cells: auto },
-            // Observing a cell again gives less information; the default model of a cell does not have its newest value.
+            // A cell that was just seen gives little information; its default model has no newest value.
             false => SlotModels { states: auto, cells: ModelSelector { blend: Blend::Persistence, ..auto } },
         }
     }

@@ -103,7 +103,7 @@ impl LeadTimeWeights {
             return;
         }
         let add = |sums: &mut [f64], values: &[f64]| {
-            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit)
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value / unit);
         };
         add(&mut sums.squares, &[kept * kept, kept * carried, carried * carried]);
         add(&mut sums.products, &[error * kept, error * carried]);
