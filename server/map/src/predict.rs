@@ -153,7 +153,7 @@ impl MapView {
         }
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
             (Some(belief), _) => {
-                belief.blend_into(&live.recent, newest, self.known_at_newest(id, newest), moments, out)
+                belief.blend_into(&live.recent, newest, self.known_at_newest(id, newest), moments, out);
             }
             (None, Some(sensor)) => {
                 let known = self.known_at_newest(id, newest);
