@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::{
     Hold, Reporting, Row,
-    readings::{RowReadings, RowSpan, sum},
+    readings::{RowReadings, RowSpan, later, sum},
 };
 
 /// The progress of learning the rows of a state.
@@ -111,8 +111,8 @@ impl LearnedRows {
         }
         if let Some(&last) = late.last() {
             // A change between the newest row and the last learned instant gives the value from there on.
-            if reporting.is_changes() && self.newest.is_none_or(|newest| last.0 >= newest.0) {
-                learned.newest = Some(last);
+            if reporting.is_changes() {
+                learned.newest = later(self.newest, last);
             }
             let late = if reporting.is_changes() { late } else { by_step(hold, &late) };
             spans.push(RowSpan { end_nanos: self.next_nanos, ..RowSpan::of(Reporting::Samples, late, i64::MIN) });
@@ -131,7 +131,7 @@ impl LearnedRows {
         // No step ends before the horizon, so open steps stay open.
         let (waiting, ended) =
             if end_nanos > self.next_nanos { (None, self.open_events) } else { (self.open_events, None) };
-        let newest = rows.last().copied().or(self.newest);
+        let newest = rows.last().map_or(self.newest, |&row| later(self.newest, row));
         let span = RowSpan {
             end_nanos,
             held: self.newest,
@@ -173,9 +173,7 @@ impl RowWalk {
     fn to<'a>(mut self, hold: Hold, rows: impl IntoIterator<Item = &'a Row>, end_nanos: i64) -> RowWalk {
         for &(nanos, value) in rows {
             self = self.hold_to(hold, nanos);
-            if self.row.is_none_or(|(newest, _)| nanos >= newest) {
-                self.row = Some((nanos, value));
-            }
+            self.row = later(self.row, (nanos, value));
             self.at_nanos = self.at_nanos.max(nanos);
             self.readings = self.readings.saturating_add(1);
         }

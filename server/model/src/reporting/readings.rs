@@ -108,7 +108,7 @@ impl Walk {
         while self.at_nanos < self.span.end_nanos {
             let at = self.at_nanos;
             while let Some(row) = self.row().filter(|(nanos, _)| *nanos <= at) {
-                self.span.held = Some(row);
+                self.span.held = later(self.span.held, row);
                 self.next_row += 1;
             }
             match self.span.held {
@@ -133,7 +133,7 @@ impl Walk {
             let mut count = self.span.open_events.take();
             while let Some((nanos, events)) = self.row().filter(|(nanos, _)| *nanos < end) {
                 count = sum(count, events);
-                self.span.held = Some((nanos, events));
+                self.span.held = later(self.span.held, (nanos, events));
                 self.next_row += 1;
             }
             if count.is_some() || (was_known && holds(self.span.held)) {
@@ -144,6 +144,11 @@ impl Walk {
         }
         None
     }
+}
+
+/// The newer of two rows; of equal times, the second one. A late row does not end the value of a newer one.
+pub(super) fn later(known: Option<Row>, row: Row) -> Option<Row> {
+    known.filter(|(newest, _)| *newest > row.0).or(Some(row))
 }
 
 /// The events plus those of another row; a row without a known value has none.
