@@ -146,19 +146,17 @@ impl MapView {
     /// the state's first update they count as with persistence, unless its sensor is known.
     fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
         let (live, model) = (self.live(id), self.model(id));
-        let newest = live.persistence.last();
+        let Some(newest) = live.persistence.last() else { return };
         let moments = &*self.held_moments(id, &live, moments);
-        if !newest.is_some_and(|(nanos, _)| moments.iter().any(|at| Belief::is_near(nanos, at.utc_nanos))) {
+        if !moments.iter().any(|at| Belief::is_near(newest.0, at.utc_nanos)) {
             return;
         }
+        let blend_in = |belief: &Belief, out: &mut [f64]| {
+            belief.blend_into(&live.recent, newest, self.known_at_newest(id, newest.0), moments, out);
+        };
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
-            (Some(belief), _) => {
-                belief.blend_into(&live.recent, newest, self.known_at_newest(id, newest), moments, out);
-            }
-            (None, Some(sensor)) => {
-                let known = self.known_at_newest(id, newest);
-                Belief::of_sensor(sensor).blend_into(&live.recent, newest, known, moments, out);
-            }
+            (Some(belief), _) => blend_in(belief, out),
+            (None, Some(sensor)) => blend_in(&Belief::of_sensor(sensor), out),
             (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Persistence, out),
         }
         let kind = model.kind();
@@ -166,8 +164,7 @@ impl MapView {
     }
 
     /// The long-term prediction for the newest reading of a state, and whether updates have learned it.
-    fn known_at_newest(&self, id: StateId, newest: Option<(i64, f64)>) -> KnownAtNewest {
-        let Some((nanos, _)) = newest else { return KnownAtNewest::default() };
+    fn known_at_newest(&self, id: StateId, nanos: i64) -> KnownAtNewest {
         let (times, mut out) = (self.prepare(&[nanos]), [0.0]);
         self.predict_into(id, &times, ModelSelector::default().long_term(), &mut out);
         KnownAtNewest { predicted: out[0], is_learned: self.has_learned(id, nanos) }

@@ -77,7 +77,7 @@ impl Rates {
 type Newest = (i64, f64);
 
 /// A prediction for the newest reading by a model without it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownAtNewest {
     /// The prediction for the time of the newest reading.
     pub predicted: f64,
@@ -184,12 +184,11 @@ impl Belief {
     pub fn blend_into(
         &self,
         recent: &Recent,
-        newest: Option<(i64, f64)>,
+        (newest_nanos, value): (i64, f64),
         known: KnownAtNewest,
         moments: &[Moment],
         out: &mut [f64],
     ) {
-        let Some((newest_nanos, value)) = newest else { return };
         let lead_times = moments.iter().map(|moment| lead_secs(newest_nanos, moment.utc_nanos));
         let longest = lead_times.clone().flatten().fold(0.0, f64::max);
         let ahead = self.ahead(recent, (newest_nanos, value), longest);
@@ -197,7 +196,7 @@ impl Belief {
         let weights = self.weights(known.is_learned);
         for (out, lead) in out.iter_mut().zip(lead_times) {
             let Some(lead) = lead.filter(|lead| LeadTimeWeights::is_near(*lead)) else { continue };
-            let weights = LeadTimeWeights::at(&weights, self.first_weights(), lead);
+            let weights = LeadTimeWeights::at(&weights, lead);
             *out = self.blended(*out, self.reading(ahead.at(lead)) - *out, deviation, weights);
         }
     }
@@ -231,13 +230,8 @@ impl Belief {
     /// fare at the longest lead times, too.
     fn weights(&self, is_learned: bool) -> [lead_time::Weights; lead_time::LEAD_TIMES] {
         let [other, learned] = &self.weights;
-        let weights = other.and(learned).weights(self.trust_secs(), self.first_weights());
+        let weights = other.and(learned).weights(self.trust_secs());
         if is_learned { learned.weights_of_learned(&weights) } else { weights }
-    }
-
-    /// The weights just after the newest reading.
-    fn first_weights(&self) -> lead_time::Weights {
-        [1.0, 0.0]
     }
 
     /// The forecasts from the recent readings for the time after the newest one.

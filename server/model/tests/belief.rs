@@ -75,7 +75,7 @@ fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
             let mut out = vec![model.spectral().mean(); moments.len()];
             model.belief().unwrap().blend_into(
                 &recent,
-                newest,
+                newest.unwrap(),
                 not_learned(model.spectral().mean()),
                 &moments,
                 &mut out,
@@ -142,7 +142,7 @@ fn the_newest_reading_of_the_door_counts_by_lag() {
             let auto = habit(moment);
             let mut blended = [auto];
             let now = not_learned(habit(sample.moment()));
-            model.belief().unwrap().blend_into(&recent, persistence.last(), now, &[moment], &mut blended);
+            model.belief().unwrap().blend_into(&recent, persistence.last().unwrap(), now, &[moment], &mut blended);
             score[0].add(auto, truth);
             score[1].add(blended[0], truth);
             score[2].add(persistence.remember(basis, auto, nanos), truth);

@@ -39,6 +39,9 @@ const NEWEST_SUMS: usize = 2 * LEAD_TIMES;
 /// w₁ and w₂.
 pub(super) type Weights = [f64; 2];
 
+/// The weights at the newest reading: its value is kept.
+const AT_NEWEST: Weights = [1.0, 0.0];
+
 /// A value that was predicted, for the regression.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scored {
@@ -118,10 +121,9 @@ impl LeadTimeWeights {
         }
     }
 
-    /// The weights of all lead times. `trust_secs`: how long readings are trusted without scores; `first`: the weights
-    /// at the newest reading.
-    pub(super) fn weights(&self, trust_secs: f64, first: Weights) -> [Weights; LEAD_TIMES] {
-        let (mut before, mut before_secs) = (first, 0.0);
+    /// The weights of all lead times. `trust_secs`: how long readings are trusted without scores.
+    pub(super) fn weights(&self, trust_secs: f64) -> [Weights; LEAD_TIMES] {
+        let (mut before, mut before_secs) = (AT_NEWEST, 0.0);
         std::array::from_fn(|lead| {
             let secs = Self::lead_secs(lead);
             let trust = libm::exp((before_secs - secs) / trust_secs);
@@ -151,11 +153,11 @@ impl LeadTimeWeights {
 
     /// The weights at a lead time in seconds, interpolated in the logarithm of the lead time; beyond the longest they
     /// fade.
-    pub(super) fn at(weights: &[Weights; LEAD_TIMES], first: Weights, lead_secs: f64) -> Weights {
+    pub(super) fn at(weights: &[Weights; LEAD_TIMES], lead_secs: f64) -> Weights {
         if lead_secs <= NOW_SECS {
-            return [1.0, 0.0];
+            return AT_NEWEST;
         }
-        let mut before = (NOW_SECS, first);
+        let mut before = (NOW_SECS, AT_NEWEST);
         for (lead, &weights) in weights.iter().enumerate() {
             let secs = Self::lead_secs(lead);
             if lead_secs <= secs {

@@ -162,7 +162,7 @@ impl Belief {
                 stored_now: target.stored_now,
             };
             let is_learned = usize::from(Some(target.since_nanos) == learned_nanos);
-            let weights = LeadTimeWeights::at(&weights[is_learned], self.first_weights(), target.secs);
+            let weights = LeadTimeWeights::at(&weights[is_learned], target.secs);
             let [kept, carried] = scored.features();
             let blended = self.blended(predicted, kept, carried, weights);
             self.weights[is_learned].add(target.lead, &scored, blended, unit);

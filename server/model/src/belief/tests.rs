@@ -67,7 +67,7 @@ fn blended(belief: &Belief, samples: &[Sample], p: f64, lead_secs: i64) -> f64 {
     let last = samples.last().unwrap();
     let mut out = [p];
     let at = Moment { utc_nanos: last.utc_nanos + lead_secs * SEC, offset_secs: 0 };
-    belief.blend_into(&recent, Some((last.utc_nanos, last.value)), not_learned(p), &[at], &mut out);
+    belief.blend_into(&recent, (last.utc_nanos, last.value), not_learned(p), &[at], &mut out);
     out[0]
 }
 
@@ -185,7 +185,7 @@ fn at_long_lead_times_the_forecast_is_the_prediction() {
     }
     let before = samples.last().unwrap().utc_nanos - SEC;
     let mut out = [0.3];
-    let newest = samples.last().map(|sample| (sample.utc_nanos, sample.value));
+    let newest = samples.last().map(|sample| (sample.utc_nanos, sample.value)).unwrap();
     belief.blend_into(
         &Recent::default(),
         newest,
@@ -206,16 +206,15 @@ fn weights_follow_what_has_been_right() {
         weights.add(3, &scored(0.8, 0.1, 0.9), 0.9, 0.25);
         weights.add(6, &scored(0.1, 0.1, 0.9), 0.1, 0.25);
     }
-    let first = [1.0, 0.0];
-    let all = weights.weights(3600.0, first);
-    let at = |lead| LeadTimeWeights::at(&all, first, LeadTimeWeights::lead_secs(lead));
+    let all = weights.weights(3600.0);
+    let at = |lead| LeadTimeWeights::at(&all, LeadTimeWeights::lead_secs(lead));
     assert!(at(1)[0] > 0.95 && at(1)[1] < 0.05, "{:?}", at(1));
     // .7 = w₁(.9 - .1) + w₂(.9 - .2)
     assert!((0.8 * at(3)[0] + 0.7 * at(3)[1] - 0.7).abs() < 0.01, "{:?}", at(3));
     assert!(at(6).iter().sum::<f64>() < 0.1, "{:?}", at(6));
     assert!(at(8) <= at(6), "a lead time that was never scored goes by the one before it");
-    assert_eq!(LeadTimeWeights::at(&all, first, 0.0), [1.0, 0.0]);
-    assert_eq!(LeadTimeWeights::at(&all, first, 1e9), [0.0, 0.0]);
+    assert_eq!(LeadTimeWeights::at(&all, 0.0), [1.0, 0.0]);
+    assert_eq!(LeadTimeWeights::at(&all, 1e9), [0.0, 0.0]);
 }
 
 #[test]
@@ -242,7 +241,7 @@ fn a_deviation_is_carried_on_where_the_routine_changes_the_value() {
     for newest in samples.iter().skip(24).step_by(48) {
         let ahead = newest.utc_nanos + 4 * 3600 * SEC;
         let (mut out, deviation) = ([routine(ahead)], newest.value - routine(newest.utc_nanos));
-        let now = Some((newest.utc_nanos, newest.value));
+        let now = (newest.utc_nanos, newest.value);
         let at = Moment { utc_nanos: ahead, offset_secs: 0 };
         belief.blend_into(&Recent::default(), now, not_learned(routine(newest.utc_nanos)), &[at], &mut out);
         left += (out[0] - routine(ahead) - deviation).powi(2);
@@ -372,7 +371,7 @@ proptest::proptest! {
             };
             values.iter().map(squared_error).sum::<f64>() + 4.0 * (kept + carried - trust).powi(2) + 4.0 * (kept - trust).powi(2)
         };
-        let [kept, carried] = weights.weights(3600.0, [1.0, 0.0])[0];
+        let [kept, carried] = weights.weights(3600.0)[0];
         proptest::prop_assert!(kept >= 0.0 && carried >= 0.0 && kept + carried <= 1.0 + 1e-12);
         if kept > 0.0 && carried > 0.0 && kept + carried < 1.0 - 1e-9 {
             for step in [[1e-3, 0.0], [-1e-3, 0.0], [0.0, 1e-3], [0.0, -1e-3]] {

@@ -63,19 +63,16 @@ fn beliefs_are_written_as_they_always_were_and_come_back() {
 
 #[test]
 fn sums_of_the_newest_value_alone_are_read() {
-    let mut parts = message();
-    let sums: Vec<f64> = (0..18_u8).map(|sum| f64::from(sum) / 4.0).collect();
-    let earlier = wire::changed(
-        &parts.0,
-        &[10],
-        Some(&|content: &mut Vec<u8>| {
-            *content = sums.iter().flat_map(|sum| sum.to_le_bytes()).collect();
-        }),
-    );
-    parts.0 = earlier;
-    let read: Belief = fields::read(Belief::new(true), &parts.0).expect("valid");
-    // Nothing is known of errors.
-    assert_eq!(read.error_share(0, false, 60_000_000_000), 1.0);
+    let of_length = |sums: u8| {
+        let sums = (0..sums).flat_map(|sum| (f64::from(sum) / 4.0).to_le_bytes());
+        let change = |content: &mut Vec<u8>| *content = sums.clone().collect();
+        fields::read(Belief::new(true), &wire::changed(&message().0, &[10], Some(&change)))
+    };
+    // They hold no errors, so that nothing narrows an interval.
+    let share = |read: Belief| read.error_share(0, false, 60_000_000_000);
+    assert_eq!(of_length(18).map(share), Ok(1.0));
+    assert!(of_length(126).map(share).is_ok_and(|share| share < 1.0));
+    assert!(of_length(17).is_err() && of_length(125).is_err());
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Cells by name, and whole grids.
 
 use tidemap_grid::predict::{GridQuestion, TileCells};
-
 use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_proto::convert::query::selector_to_wire;
 
