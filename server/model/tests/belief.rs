@@ -69,17 +69,12 @@ fn room(folder: &Path, state: &str, ahead_secs: &[i64]) -> Vec<Score> {
     let (mut recent, mut newest) = (Recent::default(), None);
     let mut origin = test[0].utc_nanos;
     for sample in &test {
-        while sample.utc_nanos > origin && newest.is_some() {
+        while let Some(newest) = newest.filter(|_| sample.utc_nanos > origin) {
             let moments: Vec<Moment> =
                 ahead_secs.iter().map(|secs| Moment { utc_nanos: origin + secs * SEC, offset_secs: 0 }).collect();
             let mut out = vec![model.spectral().mean(); moments.len()];
-            model.belief().unwrap().blend_into(
-                &recent,
-                newest.unwrap(),
-                not_learned(model.spectral().mean()),
-                &moments,
-                &mut out,
-            );
+            let known = not_learned(model.spectral().mean());
+            model.belief().unwrap().blend_into(&recent, newest, known, &moments, &mut out);
             for ((score, moment), predicted) in scores.iter_mut().zip(&moments).zip(out) {
                 if moment.utc_nanos <= end {
                     score.add(predicted, truth_at(moment.utc_nanos));
